@@ -19,7 +19,7 @@ std::shared_ptr<AdjointRecord> record_of(const nova::Tape& tape) {
   return nullptr;
 }
 
-// The unit vector against the gradients of the leaves that have some.
+// The leaves that have a gradient, and the unit vector against it.
 struct Downhill {
   std::vector<nova::Tensor> leaves, tangents;
 };
@@ -28,7 +28,7 @@ Downhill downhill(const AdjointRecord& record, const std::vector<nova::Tensor>& 
   double squares = 0.0;
   for (const nova::Tensor& leaf : leaves) {
     if (!leaf.has_grad()) continue;
-    to.leaves.push_back(leaf);  // jvp names what is no leaf of the tape
+    to.leaves.push_back(leaf);  // jvp reports a tensor that is no leaf of the tape
     to.tangents.emplace_back(leaf.shape(), nova::DType::F32, leaf.device());
     if (const std::vector<float>* const gradient = record.gradient(leaf))
       for (const float g : *gradient) squares += double{g} * g;

@@ -30,7 +30,7 @@ void launch(const Rule&, const Array& source, const Array& derived) {
   rule_kernel<Rule>().launch(in.rows, in, out);
 }
 
-// Refuses a derived array as a leaf, because its gradient would stay 0.
+// Throws if a derived array is a leaf, because its gradient would stay 0.
 void check_leaves(const Model& model) {
   const auto check = [](const Array& derived, const char* name, const char* source) {
     const nova::GradInfo* info =

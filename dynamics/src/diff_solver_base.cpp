@@ -36,7 +36,7 @@ void add(const Operand& a, const Operand& b, const Operand& sum) {
   add_kernel().launch(sum.rows, in, sum);
 }
 
-// Returns `rows` rows of an operand as an operand of their own.
+// Returns `rows` rows of an operand, from row `first` on, as an operand.
 Operand rows_of(const Operand& all, size_t first, int64_t rows) {
   const size_t row = static_cast<size_t>(all.width) * sizeof(float);
   Operand part = all;
@@ -50,7 +50,8 @@ Tensor tensor_of(const Operand& operand) {
   return {operand.range, {operand.rows, operand.width}, DType::F32};
 }
 
-// The gradient of `forces` covers the whole array, so the adjoint of a step adds to its own rows.
+// The gradient by `forces` covers the whole array, so the adjoint of a step adds to its own rows
+// only.
 nova::CustomOp add_forces_op(const Operand& f, const Operand& forces, size_t first_row,
                              const Operand& sum) {
   const int64_t rows = sum.rows;
@@ -114,10 +115,10 @@ void make_leaves(const SimState& state) {
 
 namespace {
 
-// The external forces of a rollout, on its particles or on its bodies.
+// The external forces of a rollout on its particles or on its bodies.
 struct AppliedForces {
   RolloutInputs::Forces forces;
-  Operand applied, more;  // the forces in `applied`, and those that act in every step
+  Operand applied, more;  // the sum, and the part that acts in every step
   size_t scratch = 0;     // scratch memory for the sum of a step, if the forces change over the
                           // steps
 
@@ -161,7 +162,7 @@ void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
   const bool recording = nova::Tape::active() != nullptr;
   if (recording) make_leaves(trajectory.any_state(inputs.start()));
   constexpr int32_t kStepsPerInterruptCheck = 32;
-  // Deferred steps run block by block from here on, so that a block stays in the cache.
+  // Deferred steps run one block of particles after the other, so that a block stays in the cache.
   constexpr int32_t kLargeParticleCount = 2048;
   nova::DeferredScope deferred(only_submits() && model()->particle_count() >= kLargeParticleCount);
   AppliedForces on_particles(trajectory.fields().particle_f, inputs.forces()),
@@ -173,7 +174,7 @@ void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
   const auto alone = make_scratch(specs, 1, device());
   if (recording) trajectory.reserve_scratch(specs);
 
-  // Each step that the tape stores has contacts of its own. All other steps share the first ones.
+  // Each step that the tape stores has its own contacts. All other steps share the first entry.
   const int32_t interval = trajectory.checkpoint_interval();
   const auto found = std::make_shared<std::vector<FoundContacts>>();
   if (inputs.pipeline() != nullptr) {

@@ -19,7 +19,7 @@ std::string some(int64_t count, int64_t of) {
   return std::to_string(count) + " of " + std::to_string(of) + " steps";
 }
 
-// Two events of one tree within fewer steps may change their order.
+// Events of one tree that are fewer steps apart may occur in the other order.
 constexpr double kApart = 3.0;
 
 bool are_apart(const MotionCounts& m) { return m.of_springs || m.least_separation >= kApart; }
@@ -80,13 +80,13 @@ std::string motion_of(const MotionCounts& m) {
   return " The times at which contacts begin move with the state." + doubts(m);
 }
 
-// Returns the number of steps whose gradient is not that of the code, and possibly not that of the
-// motion.
+// Returns the number of steps whose gradient is not that of the code and may differ from that of
+// the motion.
 int64_t unclaimed_steps(const MotionCounts* motion) {
   return motion != nullptr && !is_of_the_motion(*motion) ? motion->moved : 0;
 }
 
-// Returns sentences on the worst steps, without the last stop.
+// Returns sentences on the worst steps, without the last full stop.
 std::string worst_steps(const GradientCounts& c, bool implicit, bool has_unclaimed) {
   if (c.surrogate > 0)
     return some(c.surrogate, c.steps) + " are a surrogate (the first is step " +

@@ -1,10 +1,11 @@
-// The branches of a step's contacts, for GradientNotes: which contacts push, stick and slip, and
-// which have frozen points or normals. The laws are those of the semi-implicit solver and of VBD.
-// The kernels run on all devices and on the host.
+// Kernels for GradientNotes: the branches of a step's contacts (which contacts push, stick and
+// slip, and which have frozen points or normals). The laws are those of the semi-implicit solver
+// and of VBD. The kernels run on the host and on all devices.
 //
-//   note_soft_contacts   contacts of particles with shapes, by the laws of two solvers
+//   note_soft_contacts   contacts of particles with shapes, by the laws of both solvers
 //   note_rigid_contacts  contacts of two shapes
-//   note_static_particles, note_plane_pairs  the same for contacts that steps find by themselves
+//   note_static_particles, note_plane_pairs  the same for static contacts, which steps find by
+//                        themselves
 //   note_contact_events  changes since the step before, in parts or at once
 //   note_gradient_step   the sum of the parts of a step
 #pragma once
@@ -15,7 +16,7 @@
 
 namespace novaphy {
 
-// The row of a contact in a list, and the row of the step before.
+// The states of a step's contacts, and those of the step before. A kernel row is a contact.
 struct SeenRows {
   NOVAPHY_ARGUMENTS(UpdatesRow<SeenContact> now, before; Reads<int32_t> count;  // of contacts
   )
@@ -35,19 +36,19 @@ struct SoftModes {
 struct NoteSoftContactsArguments {
   NOVAPHY_ARGUMENTS(Part<SeenRows> seen; Reads<int32_t> particle, shape;
                     Detached<Reads<Vec3f>> point, velocity,
-                    normal;                        // of the shape, in the frame of its body
+                    normal;                        // world; point and velocity: frame of the body
                     Detached<Reads<Vec3f>> q, qd;  // of the particles
                     Detached<Reads<Transformf>> body_q; Detached<Reads<SpatialVectorf>> body_qd;
                     Detached<Reads<Vec3f>> body_com; Reads<int32_t> shape_body, shape_type;
                     Detached<Reads<Vec3f>> shape_scale; Detached<Reads<float>> radius;
                     Optional<Detached<Reads<float>>> margin;  // null: not part of the law
                     Part<SoftModes> modes;
-                    Number<float> slip;       // m/s, > 0: a contact sticks below it
-                    Number<int64_t> follows;  // points and normals follow the particles
+                    Number<float> slip;       // m/s; > 0: slower contacts stick
+                    Number<int64_t> follows;  // points and normals move with the particles
                     Number<int64_t> shapes;)
 };
-// Returns the mode of a contact of particle p and shape s. `v`: velocity of the particle relative
-// to the shape.
+// Returns the mode (SeenContact::mode) of a contact of particle p with shape s. `v`: velocity of
+// the particle relative to the shape.
 inline int32_t soft_mode(float gap, const Vec3f& n, const Vec3f& v, const SoftModes& of, int64_t p,
                          int32_t s, float slip) {
   if (!(gap < 0.0f) || !(of.mass[p] > 0.0f)) return 0;
@@ -79,7 +80,7 @@ NOVAPHY_ROW_KERNEL(note_soft_contacts, NoteSoftContactsArguments) {
                       a.qd[p] - at.velocity, a.modes, p, s, a.slip.value);
 }
 
-// Static contacts of particles with shapes of the world, a row per particle.
+// Arguments for static contacts of particles with shapes of the world. A kernel row is a particle.
 struct NoteStaticParticlesArguments {
   NOVAPHY_ARGUMENTS(Updates<SeenContact> now, before;
                     Optional<Reads<int32_t>> begin,
@@ -115,8 +116,8 @@ NOVAPHY_ROW_KERNEL(note_static_particles, NoteStaticParticlesArguments) {
   }
 }
 
-// Returns the mode of a contact at two points. n points from B to A, and u is the velocity of A
-// relative to B at the point where the force acts (rigid_contact_trace.h).
+// Returns the mode (SeenContact::mode) of a contact at two points. n points from B to A. u is the
+// velocity of A relative to B at the point where the force acts (rigid_contact_trace.h).
 inline int32_t rigid_mode(const Vec3f& n, const Vec3f& p_a, const Vec3f& p_b, const Vec3f& u,
                           const RigidContactMaterial<float>& of, float smoothing) {
   const float d = math::dot(n, p_a - p_b), un = math::dot(n, u);
@@ -180,7 +181,8 @@ NOVAPHY_ROW_KERNEL(note_rigid_contacts, NoteRigidContactsArguments) {
   to.mode = rigid_mode(out, at[0], at[1], v[0] - v[1], of, a.modes.smoothing.value);
 }
 
-// Static contacts of planes of the world with shapes of bodies: eight points per pair.
+// Arguments for static contacts of planes of the world with shapes of bodies, with eight points per
+// pair.
 struct NotePlanePairsArguments {
   NOVAPHY_ARGUMENTS(Updates<SeenContact> now, before;
                     Reads<int32_t> pairs;  // {rows, 2}: plane, shape
@@ -220,7 +222,8 @@ NOVAPHY_ROW_KERNEL(note_plane_pairs, NotePlanePairsArguments) {
   }
 }
 
-// Returns the mode of the same contact in a list of `count` rows, sorted by pairs.
+// Returns the mode of the same contact in a list of `count` rows, which is sorted by pairs.
+// `guess`: the row to try first.
 inline int32_t mode_in(const SeenContact* list, int64_t count, int64_t guess,
                        const SeenContact& of) {
   const auto same = [&](const SeenContact& c) {
@@ -239,7 +242,8 @@ inline int32_t mode_in(const SeenContact* list, int64_t count, int64_t guess,
   return 0;
 }
 
-// Lists of contacts of particles and of shapes. A step without contacts has no rows.
+// Arguments with the lists of particle contacts ("soft") and shape contacts ("rigid"). A step
+// without contacts has no rows.
 struct NoteContactEventsArguments {
   NOVAPHY_ARGUMENTS(
       Reads<SeenContact> soft_now, soft_before, rigid_now, rigid_before;
@@ -248,8 +252,8 @@ struct NoteContactEventsArguments {
       Optional<Updates<GradientCounts>> counts;  // null: note_gradient_step sums the parts
       Number<int64_t> step, begins;)
 };
-// Adds the notes of step `step` of a chain. `begins`: the counts start here. Steps without notes
-// are exact.
+// Adds the notes of step `step` of a chain to the counts. `begins`: the counts start with this
+// step. Steps without notes count as exact.
 inline void note_step_of(const StepNotes& notes, int64_t step, bool begins, GradientCounts& to) {
   if (begins) to = GradientCounts{};
   to.exact += step - to.steps;

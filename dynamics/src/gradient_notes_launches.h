@@ -1,4 +1,4 @@
-// The kernels of GradientNotes.
+// The kernels that GradientNotes launches.
 #pragma once
 
 #include "gradient_notes_kernels.h"
@@ -20,7 +20,7 @@ struct NoteKernels {
                                             detail::gradient_notes_kernels_source};
   Kernel<NoteGradientStepArguments> step{note_gradient_step, detail::gradient_notes_kernels_source};
 };
-// Never destroyed, because recordings refer to the kernels.
+// The object is never destroyed, because recordings refer to the kernels.
 inline const NoteKernels& note_kernels() {
   static const auto& all = *new NoteKernels;
   return all;

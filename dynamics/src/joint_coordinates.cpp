@@ -17,7 +17,7 @@ const char* joint_coordinates_kernels_source();
 }
 namespace {
 
-// Never destroyed, because recordings refer to the kernels.
+// The object is never destroyed, because recordings refer to the kernels.
 struct Kernels {
   Kernel<EvalFkArguments> fk{eval_fk_articulation, detail::joint_coordinates_kernels_source};
   Kernel<EvalIkArguments> ik{eval_ik_joint, detail::joint_coordinates_kernels_source};
@@ -46,7 +46,7 @@ void check_arguments(const char* name, const Model& m, const SimState& state,
           ": state: expected one of the model, got one of another model");
   check_coordinates(name, m, q, qd);
 }
-// Call before anything is written.
+// Throws for a quaternion of length 0. Call this before anything is written.
 void check_quaternions(const Model& m, const float* q) {
   for (int32_t j = 0; j < m.joint_count(); ++j) {
     const int32_t at = quaternion_at(static_cast<JointType>(m.joint_type.data()[j]));

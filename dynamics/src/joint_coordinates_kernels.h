@@ -1,4 +1,4 @@
-// The kernels of the functions of joint coordinates.
+// Kernels of the functions of joint coordinates (joint_coordinates.h).
 //
 //   eval_fk_articulation  a row per articulation: articulation/kinematics.h over the arrays of
 //                         models and states, with the bits of a step of articulations
@@ -47,7 +47,7 @@ inline BodyFrame body_frame(const JointArrays& joints, const Transformf* q,
   return {q[body], qd[body], math::transform_point(q[body], joints.body_com[body])};
 }
 
-// The pose and motion of a body's link, besides body_q.
+// The position, and the origin of the tree, of a body's link. body_q has the remaining data.
 struct BodyPlace {
   Vec3f p, origin;
   SpatialVectorf v;
@@ -72,7 +72,7 @@ NOVAPHY_ROW_KERNEL(eval_fk_articulation, EvalFkArguments) {
   tree.X_c = joints.joint_X_c;
   tree.axis = joints.joint_axis;
   tree.com = joints.body_com;
-  articulation::LinkState<float> links[2];  // the current link and the one before
+  articulation::LinkState<float> links[2];  // the current link and its predecessor
   for (int32_t j = a.articulation_start[row]; j < a.articulation_end[row]; ++j) {
     const articulation::JointRows joint = joints.rows(j);
     tree.first_dof = joint.dof;
@@ -133,8 +133,8 @@ struct EvalMimicArguments {
   NOVAPHY_ARGUMENTS(Reads<int32_t> joint_mimic, joint_q_start, joint_qd_start;
                     Reads<Vec2f> joint_mimic_coef; Updates<float> joint_q, joint_qd;)
 };
-// A mimic joint reads the joint at the end of its chain of leaders, because no row writes that one.
-// The numbers are those of Articulations.
+// A mimic joint reads the joint at the end of its chain of leaders, because no kernel row writes
+// that joint. The relation (multiplier and offset) is that of Articulations.
 NOVAPHY_ROW_KERNEL(eval_mimic_joint, EvalMimicArguments) {
   const int32_t joint = static_cast<int32_t>(row);
   int32_t leader = joint;

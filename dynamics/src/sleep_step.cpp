@@ -46,7 +46,7 @@ void SleepStep::find_touching(const Model& m, const SimState& in, const Contacts
                      *const ka = m.shape_material_ka.data();
   const int32_t *const shape0 = c.rigid_contact_shape0.data(), *const shape1 =
                                                                    c.rigid_contact_shape1.data();
-  float fall = 0.0f;  // m, for both bodies together
+  float fall = 0.0f;  // m, allowance for the free fall of both bodies
   for (int32_t w = 0; w < m.world_count(); ++w)
     fall = std::max(fall, 2.0f * math::length(m.gravity.data()[w]) * ahead * ahead);
   struct At {
@@ -68,7 +68,7 @@ void SleepStep::find_touching(const Model& m, const SimState& in, const Contacts
           const float closing = math::dot(normal[k], a.velocity - b.velocity);
           const float reach =
               0.5f * (ka[shape0[k]] + ka[shape1[k]]) + (math::max(closing, 0.0f) * ahead + fall);
-          // Compares as rigid_contact_law does, so that a NaN counts as a touch.
+          // The comparison is that of rigid_contact_law, so that a NaN counts as a touch.
           touches_[k] = gap >= reach ? 0 : 1;
         }
       });
@@ -101,7 +101,7 @@ void SleepStep::wake_forced(std::span<const int32_t> forced) {
   for (const int32_t b : woken_) afloat_[static_cast<size_t>(b)] = 1;
 }
 
-// Returns the coordinates of the body's free joint. Null: the solver moves poses.
+// Returns the coordinates of the body's FREE joint. Null: the solver moves poses.
 const float* SleepStep::joint_q(const Model& model, const SimState& state, int32_t body) const {
   if (!in_joints_) return nullptr;
   const int32_t joint = bodies_.free_joint(body);
@@ -117,7 +117,7 @@ int32_t SleepStep::find_root(int32_t body) {
   return body;
 }
 
-// Returns whether some body has been slow for long enough to sleep.
+// Counts the rest time of bodies. Returns whether a body has been slow for long enough to sleep.
 bool SleepStep::count_rest(const Model& model, const SimState& in, SimState& out, float dt) {
   const Vec2i* const before = in.body_sleep.data();
   const Transformf* const q = out.body_q.data();
@@ -154,7 +154,8 @@ bool SleepStep::count_rest(const Model& model, const SimState& in, SimState& out
          std::any_of(rest_.begin(), rest_.end(), [&](int32_t us) { return us >= most; });
 }
 
-// Joins bodies that touch to islands. The rest time of a root is then the shortest in its island.
+// Merges bodies that touch into islands. The rest time of a root becomes the shortest in its
+// island.
 void SleepStep::find_islands(const Model& model) {
   for (int32_t b = 0; b < model.body_count(); ++b) root_[static_cast<size_t>(b)] = b;
   const auto is_free = [&](int32_t b) {

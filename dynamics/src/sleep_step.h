@@ -1,4 +1,4 @@
-// Internal: the sleep of bodies in a step of a solver (core/sim/sleep.h).
+// SleepStep: the sleep of bodies in a step of a solver (core/sim/sleep.h). Internal.
 //
 //   begin()          finds the bodies that sleep in the state
 //   wake_touched()   wakes bodies that touch moving bodies
@@ -16,7 +16,7 @@
 
 namespace novaphy {
 
-// ErrorKind::Runtime, naming `step`: a solver with sleep runs on an active tape.
+// Throws ErrorKind::Runtime, with `step`, if a solver with sleep runs on an active tape.
 void check_not_on_tape(const std::optional<SleepConfig>& sleep, const char* step);
 
 class SleepStep {
@@ -26,21 +26,21 @@ class SleepStep {
       : config_(config), in_joints_(in_joints) {}
 
   void begin(const Model& model, const SimState& in);
-  // `bodies`: the bodies on the two sides of each of the first contacts. Two bodies touch if they
-  // are nearer than the mean adhesion distance of their shapes, or would be after `ahead` (s) of
-  // free fall.
+  // `bodies`: the two bodies of each of the first contacts, one after the other. Two bodies touch
+  // if they are nearer than the mean adhesion distance of their shapes, or would be after `ahead`
+  // (s) of free fall.
   void wake_touched(const Model& model, const SimState& in, const Contacts& contacts,
                     std::span<const int32_t> bodies, float ahead);
-  // Whether this step ignores the contacts of the body, because the search took the body to sleep
-  // and left them out. The step then omits the weight of the body too.
+  // Returns whether this step ignores the contacts of the body: the search assumed that the body
+  // sleeps and left its contacts out. The step then also omits the weight of the body.
   bool is_afloat(int32_t body) const { return afloat_[static_cast<size_t>(body)] != 0; }
   bool is_asleep(int32_t body) const { return bodies_.is_asleep(body); }
   int32_t free_joint(int32_t body) const { return bodies_.free_joint(body); }
-  // Wakes the bodies of `forced`, in ascending order, and their islands. A force acts on these
-  // bodies, so they are not at rest.
+  // Wakes the bodies in `forced` (ascending) and their islands. Forces act on these bodies, so they
+  // do not rest.
   void wake_forced(std::span<const int32_t> forced);
-  // Call after the new poses and velocities of `out` are written. Bodies that fall asleep get zero
-  // velocity.
+  // Counts rest times and puts islands to sleep. Call this after the new poses and velocities of
+  // `out` are written. Bodies that fall asleep get zero velocity.
   void end(const Model& model, const SimState& in, SimState& out, float dt);
 
  private:
@@ -57,8 +57,8 @@ class SleepStep {
   std::vector<uint8_t> afloat_, forced_;
   std::vector<int32_t> woken_;
   std::span<const int32_t> sides_;
-  std::vector<uint8_t> touches_;      // for each contact
-  std::vector<int32_t> root_, rest_;  // for each body; rest: us
+  std::vector<uint8_t> touches_;      // per contact
+  std::vector<int32_t> root_, rest_;  // per body; rest: rest time, microseconds
 };
 
 }  // namespace novaphy

@@ -1,4 +1,4 @@
-// Where a step finds its arrays (articulation/step_arrays.h), and the names of the arrays.
+// The source and the name of each array of a step (articulation/step_arrays.h).
 #pragma once
 
 #include <array>
@@ -9,7 +9,7 @@
 
 namespace novaphy {
 
-// An array belongs to the state, to the control if there is one, or else to the model.
+// An array's source is the state, the control if there is one, or else the model.
 struct StepSource {
   using Scalar = float;
   template <articulation::RowOf, class Value>
@@ -52,10 +52,10 @@ inline constexpr articulation::StepArrays<StepSource> kStepSources = {
      .X_c = {"model.joint_X_c", &Model::joint_X_c},
      .axis = {"model.joint_axis", &Model::joint_axis}}};
 
-// All arrays, at their places.
+// A named array of a step, at its index in the list.
 struct NamedStepArray {
   const char* name;
-  const Array* array;  // null: an array of the state, and there is no state
+  const Array* array;  // null: the array belongs to a state, and no state is given
   bool is_constant;
 };
 using NamedStepArrays = std::array<NamedStepArray, kStepArrays>;

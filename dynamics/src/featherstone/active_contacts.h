@@ -1,5 +1,6 @@
-// The contacts that push one articulation in a step of SolverFeatherstone, and the null space of
-// their normals. Sensitivities with frozen dynamics use them.
+// ActiveContacts: the contacts that push one articulation in a step of SolverFeatherstone, and the
+// projection that keeps the velocities along their normals. Used by sensitivities with frozen
+// dynamics.
 #pragma once
 
 #include <vector>
@@ -24,18 +25,19 @@ class ActiveContacts {
             const articulation::Tree<float>& tree, articulation::Workspace<float>& ws,
             const char* user);
   bool empty() const { return rows_.empty(); }
-  // Call after find. Adds the contact impulses to the rates ws.qd_next, and writes the generalized
-  // impulses to ws.given. Returns the largest intermediate rate, as the scale of rounding errors.
+  // Adds the contact impulses to the rates ws.qd_next, and writes the generalized impulses to
+  // ws.given. Call this after find. Returns the largest intermediate rate, the scale of rounding
+  // errors.
   float push(float dt, articulation::Workspace<float>& ws);
-  // Projects v to v - M^-1 N^T (N M^-1 N^T)^-1 N v, with the rows of N along the normals. The
-  // result is the nearest change of the rates (in the norm of M) that leaves every normal velocity
-  // unchanged. Linearly dependent normals count once.
+  // Projects the change v of the rates to v - M^-1 N^T (N M^-1 N^T)^-1 N v, where the rows of N
+  // belong to the normals. The result is the nearest change (in the norm of M) that leaves every
+  // normal velocity unchanged. Linearly dependent normals count once.
   void project(float* v);
 
  private:
   struct Place {
     int32_t link = -1;   // in the tree
-    bool moves = false;  // belongs to another articulation, with a degree of freedom
+    bool moves = false;  // belongs to another articulation, by a joint with dofs
   };
   std::vector<Place> of_body_;
   int32_t dofs_ = 0;
@@ -44,8 +46,8 @@ class ActiveContacts {
   std::vector<double> system_;
   std::vector<articulation::IslandContact> rows_;
   std::vector<Vec3f> force_;  // contact force of each row on body B, N
-  // The rows as build_contact reads them. Points of bodies outside of the tree are in the world
-  // frame.
+  // The contact rows in the form that build_contact reads. Points of bodies outside of the tree are
+  // in the world frame.
   std::vector<Vec3f> point0_, point1_, normal_;
   std::vector<float> margin0_, margin1_;
 };

@@ -83,7 +83,7 @@ Actuators::Actuators(const Model& m) : any_(m.actuator_count() > 0) {
 
 namespace {
 
-// Checks the actuators of a model, by values on the host.
+// Checks the values of a model's actuators on the host.
 class ActuatorCheck {
  public:
   ActuatorCheck(const Model& m, const char* user) : m_(m), user_(user) {}
@@ -152,7 +152,7 @@ class ActuatorCheck {
 
 }  // namespace
 
-// Finds out whether gravity compensation or the fluid acts.
+// Finds whether gravity compensation or the fluid acts.
 void Actuators::find_forces(const Model& m) {
   const auto acts = [](const DeviceArray<float>& array) {
     const OnHost<float> values(array);
@@ -208,7 +208,7 @@ GravcompInputs gravcomp_inputs(const Model& m, const Array& body_f) {
           .worlds = m.world_count()};
 }
 
-// Never destroyed, because recordings refer to the kernels.
+// The object is never destroyed, because recordings refer to the kernels.
 const ActuationKernels& actuation_kernels() {
   static const auto& kernels =
       *new ActuationKernels{{actuation, detail::articulation_kernels_source},
@@ -222,7 +222,7 @@ const ActuationKernels& actuation_kernels() {
 
 namespace {
 
-// Runs rows of a kernel on the host if nothing records them, or else as a launch.
+// Runs rows of a kernel on the host if nothing records them, else as a launch.
 template <class A>
 void run_step(bool on_host, const Kernel<A>& kernel, const RowKernel<A>& row, int64_t rows,
               int64_t chunk, const A& arguments) {

@@ -1,5 +1,5 @@
-// The actuators, gravity compensation and fluid of a model. A step reads their results instead of
-// the drives and external forces of the model, the control and the state.
+// The actuators, the gravity compensation and the fluid of a model. A step reads their results
+// instead of the drives and external forces of the model, the control and the state.
 #pragma once
 
 #include <array>
@@ -16,7 +16,7 @@
 
 namespace novaphy {
 
-// The inputs of actuators, in the order of ActuationInput. An array without rows is absent.
+// The arrays that actuators read, in the order of ActuationInput. An array without rows is absent.
 using ActuationArrays = std::array<Array, articulation::kActuationInputs>;
 
 // The drives of a step, in the order of ActuationInput: joint_f, joint_target_q, joint_target_qd,
@@ -28,13 +28,13 @@ inline constexpr int32_t kActuatedPlaces[] = {kAt.joint_f,   kAt.target_q,  kAt.
 // Replaces the drives in `arrays` by `drives`.
 void read_instead(NamedStepArrays& arrays, const StepDrives& drives);
 
-// Call after a failed step. Throws an error that names the control or activation that is not
-// finite.
+// Throws an error that names a control or activation that is not finite. Call this after a failed
+// step.
 void check_actuator_inputs(const Model& model, const SimState& state, const Control* control,
                            const char* user);
 
-// ErrorKind::NotImplemented: gravity compensation or a fluid acts, which `user` does not
-// differentiate.
+// Throws ErrorKind::NotImplemented if gravity compensation or a fluid acts, because `user` does not
+// differentiate them.
 void check_no_body_forces(const Model& model, const char* user);
 
 class BodyActuators;
@@ -44,7 +44,7 @@ class Actuators {
   explicit Actuators(const Model& model);
 
   bool any() const { return any_; }  // whether the model has actuators
-  // The wrenches on bodies by actuators and the fluid; null: none.
+  // Returns the wrenches on bodies by actuators and the fluid. Null: no wrenches.
   std::shared_ptr<const BodyActuators> on_bodies() const {
     return pushes_ || flows_ ? on_bodies_ : nullptr;
   }
@@ -52,15 +52,15 @@ class Actuators {
   bool lifts() const { return lifts_; }
   bool flows() const { return flows_; }
   bool acts() const { return any_ || lifts_ || flows_; }
-  // Checks the actuators again if an array was written, and whether some gravcomp or the density or
-  // viscosity of some fluid is not 0.
-  // ErrorKind::Value: a range has its ends in the wrong order. ErrorKind::NotImplemented, naming
-  // the actuator: a stiffness or damping would be negative; a servo acts on a degree of freedom
-  // whose drive does not have both targets; a servo has a force range with one end; a servo has a
-  // force range, and its degree of freedom has another servo or drive.
+  // Checks the actuators again if an array was written. Also finds whether any gravcomp, or the
+  // density or viscosity of any fluid, is not 0.
+  // ErrorKind::Value: a range whose lower end exceeds its upper end.
+  // ErrorKind::NotImplemented, with the actuator: a stiffness or damping would be negative; a servo
+  // acts on a degree of freedom whose drive does not have both targets; a servo has a force range
+  // with one end only, or has a force range while its degree of freedom has another servo or drive.
   void check(const Model& model, const char* user, bool gradient_by_gravcomp = false,
              bool gradient_by_fluid = false);
-  // The coordinate of each degree of freedom, as in Actuation.
+  // Returns the coordinate of each degree of freedom, as in Actuation.
   std::vector<int32_t> coordinates() const { return coord_.to_host(); }
   // Returns the arrays in the order of ActuationInput.
   static ActuationArrays inputs(const Model& model, const SimState& state, const Control* control);
@@ -94,7 +94,7 @@ class ActuatedStep {
  public:
   explicit ActuatedStep(const Model& model);
   // Calls Actuators::check, and computes the drives of a step and its wrenches on bodies. On
-  // devices the launches also write the activations of `out`; on the host finish writes them.
+  // devices the launches also write the activations of `out`. On the host `finish` writes them.
   struct Read {
     StepDrives drives;
     Array body_f;

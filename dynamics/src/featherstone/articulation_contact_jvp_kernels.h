@@ -1,5 +1,5 @@
-// The tangent of a step of articulations with contacts and dry friction
-// (articulation/contact_jvp.h), for devices. Each row of the kernel takes one group.
+// Kernel of the tangent of a step of articulations with contacts and dry friction
+// (articulation/contact_jvp.h), for devices. A kernel row is a group.
 #pragma once
 
 // clang-format off: before what reads it
@@ -12,11 +12,11 @@
 
 namespace novaphy {
 
-// step.workspace also holds the responses of dry friction, behind its own numbers. impulses
-// {contacts} and friction_impulses {dofs} are those of the step. changes {contacts} (null: not
-// requested): the tangents of the impulses in the world. The memory `system` of a group has a
-// number of floats per contact, and another per group. status {groups}: 0, or 1 + the size of a
-// system that did not fit.
+// Arguments. step.workspace also has the responses of dry friction, behind the workspace of a tree.
+// impulses {contacts} and friction_impulses {dofs} are those of the step. changes {contacts}: the
+// tangents of the impulses in the world; null: not requested. The memory `system` of a group has a
+// number of floats per contact, and another number per group. status {groups}: 0, or 1 + the size
+// of a system that did not fit.
 struct ArticulationContactJvpArguments {
   NOVAPHY_ARGUMENTS(Part<ArticulationJvpArguments> step; Part<ContactGroupArguments> of;
                     Given<Vec3f> impulses; Given<float> friction_impulses;
@@ -25,7 +25,7 @@ struct ArticulationContactJvpArguments {
                     Number<int64_t> system_of_contact, system_of_group; WritesRow<int32_t> status;)
 };
 
-// Returns the memory of a contact between trees with `dofs` degrees of freedom.
+// Returns the memory (bytes) of a contact between trees with `dofs` degrees of freedom.
 inline int64_t dual_contact_bytes(int32_t dofs) {
   return (static_cast<int64_t>(sizeof(articulation::DualContact)) +
           articulation::dual_contact_numbers(dofs) *
@@ -67,7 +67,7 @@ struct GroupTangent : GroupLists {
   articulation::DualMaterials materials() const {
     return {all.mu, all.restitution, all.ke, all.kd, a.mixing};
   }
-  // Returns the pose and the motion of the body of a side, about the point `about`.
+  // Returns the pose of a side's body, as dual numbers, relative to the point `about`.
   Transform<articulation::DualFloat> pose(const articulation::ContactSide& side,
                                           const Vec3f& about) const {
     using articulation::constant;
@@ -75,7 +75,8 @@ struct GroupTangent : GroupLists {
     const auto& link = workspace(side.tree).links[side.link];
     return {link.p + (link.origin - constant(about)), link.q};
   }
-  // Returns how the poses of the two bodies turn the normal and move the points of a contact.
+  // Returns the moving contact point of a contact: how its points and its normal move with the
+  // poses of the two bodies.
   articulation::DualTurning turning(const articulation::DualContact& row) const {
     articulation::DualTurning to;
     if (!contacts.found || row.follows) return to;
@@ -94,7 +95,7 @@ struct GroupTangent : GroupLists {
   }
 };
 
-// An island as solve_dual_island reads it.
+// An island with the members that solve_dual_island needs.
 struct TangentIsland : ActiveIsland<GroupTangent> {
   template <class F>
   void for_held(const F& f) const {
@@ -106,7 +107,7 @@ struct TangentIsland : ActiveIsland<GroupTangent> {
   }
 };
 
-// Sets the tangents of an island to NaN, if its system does not fit into the memory.
+// Sets the tangents of an island to NaN, because its system does not fit into the memory.
 inline void fill_tangents(const GroupTangent& s, int32_t root) {
   for (int32_t i = root; i >= 0; i = s.a.nodes[i].next)
     for (int32_t k = 0; k < s.rows(i).dof_count; ++k)

@@ -1,12 +1,12 @@
-// A step of articulations with contacts and dry friction (articulation/islands.h). A group holds
-// the articulations that may touch each other: those of one world.
+// Kernels of a step of articulations with contacts and dry friction (articulation/islands.h). A
+// group has the articulations of one world, which may touch each other.
 //
-// If each group is one tree:
+// Kernels if each group is one tree:
 //
 //   articulation_contact_group    the group of each contact, for the lists of contacts by group
 //   articulation_contact_step     a row per group: the whole step
 //
-// If groups have several trees, or TreeSteps takes some of the trees:
+// Kernels if groups have several trees, or if TreeSteps solves some trees:
 //
 //   articulation_contact_open     a row per tree: the link frames; without `lanes` also `start`
 //   articulation_contact_islands  a row per group: its islands, and their contacts
@@ -15,7 +15,7 @@
 //   articulation_contact_finish   a row per tree: its new state
 //   articulation_contact_notes    a row per group: the active branches of its islands
 //
-// After both:
+// Kernels after the step in both cases:
 //
 //   articulation_contact_keep     the impulses for the warm start of the next step
 //   articulation_note_some, articulation_note_step   the active branches of a step (active_rows.h)
@@ -31,7 +31,8 @@
 
 namespace novaphy {
 
-// group: -1 for a contact that moves nothing. force, impulses: null: not requested.
+// Arguments. group: result per contact; -1: the contact moves nothing. force, impulses: null: not
+// requested.
 struct ArticulationContactGroupArguments {
   NOVAPHY_ARGUMENTS(Part<ContactShapes> shapes; Given<ArticulationRows> rows; Given<int32_t> count;
                     WritesRow<int32_t> group; Optional<Writes<Vec3f>> force;
@@ -51,7 +52,7 @@ NOVAPHY_ROW_KERNEL(articulation_contact_group, ArticulationContactGroupArguments
   if (moves)
     a.group[row] = a.shapes.group_of_tree[articulation::moved_tree(rows, sides)];
   else if (!there)
-    a.group[row] = 0;  // the solve of group 0 then reports the bad shape
+    a.group[row] = 0;  // group 0 then reports the shape that does not exist
 }
 
 NOVAPHY_ROW_KERNEL(articulation_contact_step, ArticulationContactStepArguments) {
@@ -107,7 +108,8 @@ NOVAPHY_ROW_KERNEL(articulation_contact_keep, ArticulationContactKeepArguments) 
   if (row < a.begin[a.groups.value]) a.kept[row] = a.now[row];
 }
 
-// Copies the contacts of a step for its adjoint, because a later search overwrites the arrays.
+// Arguments of the copy of a step's contacts for its adjoint. A later search overwrites the
+// original arrays.
 struct ArticulationContactCopyArguments {
   NOVAPHY_ARGUMENTS(Given<int32_t> count; Part<ContactPlaces> from; Changed<int32_t> to_count;
                     Changed<int32_t> shape0, shape1; Changed<Vec3f> point0, point1, normal;
@@ -127,8 +129,8 @@ NOVAPHY_ROW_KERNEL(articulation_contact_copy, ArticulationContactCopyArguments) 
   a.margin1[row] = a.from.margin1[row];
 }
 
-// The active branches of the groups: one kernel sums them in parts, row by row, the next over all
-// parts. The contacts that were seen are kept for the next step.
+// Arguments of the sum of the groups' branches: the first kernel sums them in parts, the second
+// kernel sums the parts. The states of the contacts (`seen`) are kept for the next step.
 struct ArticulationNoteArguments {
   NOVAPHY_ARGUMENTS(Given<articulation::BranchNotes> notes;
                     WritesRow<articulation::BranchNotes> some; Given<SeenContact> seen;

@@ -1,8 +1,8 @@
-// The adjoint of a step of articulations with contacts and dry friction
+// Kernels of the adjoint of a step of articulations with contacts and dry friction
 // (articulation/contact_adjoint.h), for devices.
 //
-//   articulation_contact_vjp        a row per group: all gradients except those of materials, which
-//                                   it stores by contact
+//   articulation_contact_vjp        a row per group: all gradients, but those by materials only per
+//                                   contact
 //   articulation_material_clear     clears the stored gradients of contacts that have none
 //   articulation_material_gradient  a row per shape: sums the gradients of its contacts, in their
 //                                   order
@@ -19,11 +19,11 @@
 
 namespace novaphy {
 
-// impulses {contacts} and friction_impulses {dofs} are those of the step. joint_friction: the
-// gradient, to which the kernel adds. materials: a row per contact; shape_of {2 contacts}: the
-// shapes of each contact; notes: those of contacts that push. Null: not requested. The memory
-// `system` of a group has a number of floats per contact, and another per group. status {groups}:
-// 0, or 1 + the size of a system that did not fit.
+// Arguments. impulses {contacts} and friction_impulses {dofs} are those of the step.
+// joint_friction: the gradient by it, to which the kernel adds. materials: a row per contact.
+// shape_of {2 contacts}: the shapes of each contact. notes: the ContactNote of each contact that
+// pushes. Null: not requested. The memory `system` of a group has a number of floats per contact,
+// and another number per group. status {groups}: 0, or 1 + the size of a system that did not fit.
 struct ArticulationContactVjpArguments {
   NOVAPHY_ARGUMENTS(Part<ArticulationStepVjpArguments> step; Part<ContactGroupArguments> of;
                     Given<Vec3f> impulses; Given<float> friction_impulses;
@@ -34,7 +34,7 @@ struct ArticulationContactVjpArguments {
                     Number<int64_t> system_of_contact, system_of_group; WritesRow<int32_t> status;)
 };
 
-// Returns the memory of a contact between trees with `dofs` degrees of freedom.
+// Returns the memory (bytes) of a contact between trees with `dofs` degrees of freedom.
 inline int64_t adjoint_contact_bytes(int32_t dofs) {
   return (static_cast<int64_t>(sizeof(articulation::AdjointContact)) + contact_row_bytes(dofs) +
           7) /
@@ -55,7 +55,7 @@ struct GroupAdjoint : ContactGroup {
   }
 };
 
-// An island as solve_adjoint reads it.
+// An island with the members that solve_adjoint needs.
 struct GroupIsland : ActiveIsland<GroupAdjoint> {
   template <class F>
   void for_held(const F& f) const {
@@ -70,7 +70,7 @@ struct GroupIsland : ActiveIsland<GroupAdjoint> {
   int32_t dofs(int32_t tree) const { return s.rows(tree).dof_count; }
 };
 
-// Evaluates a tree at the start of the step: the gradients of its rates, its dynamics, and its
+// Evaluates a tree at the start of the step: the gradients by its rates, its dynamics, and its
 // rates without impulses.
 inline void start_adjoint(const GroupAdjoint& s, int32_t i) {
   articulation::IslandTree of = s.tree(i);
@@ -83,7 +83,7 @@ inline void start_adjoint(const GroupAdjoint& s, int32_t i) {
   start_node(s, i);
 }
 
-// Finds how the bodies turn a contact that pushes or shifts, unless its turning is known exactly.
+// Finds the moving contact point of a contact that pushes or shifts, unless it is already known.
 inline void find_turning(const GroupAdjoint& s, articulation::AdjointContact& row) {
   if (!s.contacts.found || row.follows || row.turning.is_exact || !articulation::pushes(row))
     return;
@@ -92,7 +92,7 @@ inline void find_turning(const GroupAdjoint& s, articulation::AdjointContact& ro
                                               row.sides[0].tree >= 0 ? row.place.a : row.place.b);
 }
 
-// Adds all impulses to the rates, times `sign`: -1 removes them.
+// Adds all impulses to the rates, times `sign`. -1 removes the impulses.
 inline void apply_impulses(const GroupAdjoint& s, float sign) {
   for (int32_t place = s.first_place(); place < s.end_place(); ++place) {
     const articulation::AdjointContact& row = s.row(place);
@@ -138,7 +138,8 @@ inline void build_rows(const GroupAdjoint& s) {
   apply_impulses(s, 1.0f);
 }
 
-// Solves for the position shifts of an island from its impulses. Returns whether there are any.
+// Solves for the shifts (position corrections, pgs.h) of an island from its impulses. Returns
+// whether any contact shifts.
 inline bool solve_island_shifts(const GroupAdjoint& s, int32_t root) {
   if (s.a.nodes[root].solved != 0) return false;
   s.a.nodes[root].solved = -1;
@@ -150,13 +151,13 @@ inline bool solve_island_shifts(const GroupAdjoint& s, int32_t root) {
   island.for_shifted([&](const articulation::AdjointContact&) { shifts = true; });
   return shifts;
 }
-// Sets the gradients of an island to NaN, if its system does not fit into the memory.
+// Sets the gradients of an island to NaN, because its system does not fit into the memory.
 inline void fill_rates(const GroupAdjoint& s, int32_t root) {
   const float nan = math::bits_float(0x7fc00000);
   for (int32_t i = root; i >= 0; i = s.a.nodes[i].next)
     for (int32_t k = 0; k < s.rows(i).dof_count; ++k) s.adjoint(i).rate[k] = nan;
 }
-// Adds the adjoint of the position shifts of all islands.
+// Adds the adjoint of the shifts of all islands.
 inline void add_shifts(const GroupAdjoint& s) {
   for (int32_t t = s.first_tree(); t < s.end_tree(); ++t) {
     const int32_t i = s.a.trees[t];
@@ -234,8 +235,8 @@ inline void finish_adjoint(const GroupAdjoint& s, int32_t i) {
   articulation::step_vjp_inputs(of.tree, s.in, s.how, step_gradient(s.all.step), of.ws, memory);
 }
 
-// Takes the islands in the order of their first contacts, as on the host, because islands may share
-// kinematic bodies.
+// Handles the islands in the order of their first contacts, as on the host, because islands may
+// share kinematic bodies.
 NOVAPHY_ROW_KERNEL(articulation_contact_vjp, ArticulationContactVjpArguments) {
   const GroupAdjoint s(a, row);
   const int32_t* const trees = a.of.trees;
@@ -274,8 +275,8 @@ struct ArticulationMaterialClearArguments {
 NOVAPHY_ROW_KERNEL(articulation_material_clear, ArticulationMaterialClearArguments) {
   a.shape_of[2 * row] = a.shape_of[2 * row + 1] = -1;
 }
-// Adds to the gradients of the materials of a shape; null: not requested. `sides` lists the
-// contacts of each shape, as 2 contact + side.
+// Arguments of the sum over contacts, which adds to the gradients by the materials of a shape.
+// Null: not requested. `sides` lists the contacts of each shape as 2 contact + side.
 struct ArticulationMaterialGradientArguments {
   NOVAPHY_ARGUMENTS(Given<int32_t> begin, sides; Given<articulation::MaterialGradient> materials;
                     Optional<Changed<float>> mu, restitution, ke, kd;)

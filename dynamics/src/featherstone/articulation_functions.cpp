@@ -32,13 +32,13 @@ template <Function F>
   ArticulationEvaluation(a, i).run<F>();
 }
 
-// Returns the number of floats of the workspace of an articulation.
+// Returns the size in floats of the workspace of an articulation.
 size_t workspace_numbers(Function f, int32_t links, int32_t dofs) {
   return static_cast<size_t>(function_workspace_bytes(f, links, dofs) / 16 + 1) * 4;
 }
 
-// Returns the trees of a model, from a cache of the last model of this thread. Results of the
-// functions go to the host.
+// Returns the trees of a model. Each thread caches those of its last model. The functions' results
+// go to the host.
 const Articulations& trees_of(const Model& m, const char* function) {
   struct Last {
     uint64_t model = 0;
@@ -111,7 +111,7 @@ class Evaluation {
   }
 
  private:
-  // All arguments except the workspace.
+  // Returns all arguments except the workspace.
   ArticulationFunctionArguments arguments(Function f, const Untyped& given,
                                           const std::array<Untyped, 3>& results,
                                           const Untyped& status) const {
@@ -149,7 +149,7 @@ class Evaluation {
         F, Untyped(given_.data()), each<3>([&](size_t k) { return Untyped(results_[k].data()); }),
         Untyped(status.data())));
     for_chunks(articulations_.count(), 4, [&](int64_t begin, int64_t end, int64_t) {
-      // Each thread works on one articulation at a time and keeps this memory.
+      // Each thread handles one articulation at a time and keeps this memory.
       static thread_local std::vector<uint64_t> memory;
       if (memory.size() < numbers / 2) memory.resize(numbers / 2);
       ArticulationFunctionArguments a = all;

@@ -1,6 +1,5 @@
-// The functions of the dynamics of articulations (articulation_functions.h), with a row per
-// articulation. The freestanding algorithms read the arrays of models and states, on the host and
-// on devices.
+// Kernels of the dynamics functions (articulation_functions.h), with a row per articulation. The
+// freestanding algorithms read the arrays of models and states, on the host and on devices.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
@@ -21,10 +20,10 @@ enum class ArticulationFunction : int32_t {
   Energy,
 };
 
-// given: the argument of a function of degrees of freedom, a row for each. results: up to three
-// outputs; each has rows of dofs, or matrices {articulations, matrix_rows, matrix_columns} padded
-// with zeros. CenterOfMass has three numbers per articulation, Energy two. status: per articulation
-// 0, or 1 + the dof at which M is not positive definite. stride: floats of the workspace of an
+// Arguments. given {dofs}: the argument of a function, if it has one. results: up to three outputs,
+// either rows of dofs or matrices {articulations, matrix_rows, matrix_columns} padded with zeros.
+// CenterOfMass has three numbers per articulation, Energy has two. status: per articulation 0, or 1
+// + the dof at which M is not positive definite. stride: floats of the workspace of an
 // articulation.
 struct ArticulationFunctionArguments {
   NOVAPHY_ARGUMENTS(Given<ArticulationRows> rows; Given<articulation::Link> links;
@@ -124,7 +123,7 @@ class ArticulationEvaluation {
       row += 6 * a.matrix_columns;
     }
   }
-  // Returns the derivatives of inverse dynamics, d tau / d q and then d tau / d qd, in memory
+  // Returns the derivatives of inverse dynamics, first d tau / d q and then d tau / d qd, in memory
   // behind the workspace.
   float* derivatives(const float* qdd) {
     articulation::DerivativeWorkspace<float> memory;
@@ -147,7 +146,7 @@ class ArticulationEvaluation {
     }
   }
 
-  // Runs a function. The template gives the host separate code for each function.
+  // Runs function F. As a template, each function has its own code on the host.
   template <ArticulationFunction F>
   void run() {
     using Function = ArticulationFunction;
@@ -197,7 +196,7 @@ class ArticulationEvaluation {
   int64_t i;
   articulation::Tree<float> tree;
   articulation::Workspace<float> ws;
-  unsigned char* behind;  // the memory behind the workspace
+  unsigned char* behind;  // memory behind the workspace
   const float *q, *qd, *armature;
 };
 

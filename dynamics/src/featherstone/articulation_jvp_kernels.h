@@ -1,5 +1,5 @@
-// The tangent of a step of articulations without contacts and dry friction, for devices. The code
-// of the step runs with dual numbers (articulation/dual.h), in copies of the arrays.
+// Kernels of the tangent of a step of articulations without contacts and dry friction, for devices.
+// The code of the step runs with dual numbers (articulation/dual.h), in copies of the arrays.
 //
 //   dual_pack              combines values and tangents to dual numbers
 //   articulation_step_jvp  the step, a row per articulation
@@ -11,7 +11,7 @@
 
 namespace novaphy {
 
-// tangents: null for zeros
+// Arguments of dual_pack. tangents: null for zeros.
 struct DualPackArguments {
   NOVAPHY_ARGUMENTS(Given<float> values, tangents; Changed<DualFloat> to;)
 };

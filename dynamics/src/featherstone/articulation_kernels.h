@@ -1,5 +1,5 @@
-// A step of articulations and its adjoints, with a row per articulation. The algorithms of
-// articulation/step.h and step_vjp.h read the arrays of models and states. Actuators
+// Kernels for a step of articulations and its adjoint, with a row per articulation. The algorithms
+// of articulation/step.h and step_vjp.h read the arrays of models and states. Actuators
 // (articulation/actuation.h) and gravity compensation act in addition to the drives. Gravity
 // compensation is the force -gravcomp mass gravity at each center of mass.
 #pragma once
@@ -11,8 +11,7 @@
 
 namespace novaphy {
 
-// Small trees use this memory on the stack. Other trees, and all adjoints on devices, use a
-// workspace.
+// Stack memory for small trees. Other trees, and all adjoints on devices, use a workspace.
 struct LocalWorkspace {
   alignas(16) unsigned char bytes[kRowStack];
 };
@@ -56,9 +55,9 @@ NOVAPHY_ROW_KERNEL(articulation_step_vjp, ArticulationStepVjpArguments) {
   articulation::step_vjp_inputs(tree, in, options, step_gradient(a), ws, adjoint);
 }
 
-// Computes the gradient of gravity {worlds} from the gradient of body_f, because gravity is a force
-// of size mass at each center of mass. A single row keeps the order of the sums fixed. wrenches:
-// the gradient of body_f, which is also added to body_f.
+// Computes the gradient by gravity {worlds} from the gradient by body_f, because gravity is a force
+// mass * gravity at each center of mass. One kernel row keeps the order of the sums fixed.
+// wrenches: the gradient by body_f, which is also added to body_f.
 struct GravityGradientArguments {
   NOVAPHY_ARGUMENTS(Given<ArticulationRows> rows; Given<articulation::Link> links;
                     Given<float> mass; Given<SpatialVectorf> wrenches; Changed<Vec3f> gravity;
@@ -79,7 +78,7 @@ NOVAPHY_ROW_KERNEL(gravity_gradient, GravityGradientArguments) {
     a.body_f[b] = a.add_body_f.value != 0 ? a.body_f[b] + a.wrenches[b] : a.wrenches[b];
 }
 
-// A row per degree of freedom.
+// Arguments of actuators on dofs, with a kernel row per degree of freedom.
 struct ActuationArguments {
   NOVAPHY_ARGUMENTS(Part<articulation::Actuation> in;
                     Each<Optional<Changed<float>>, articulation::kActuationOutputs> out;)
@@ -96,7 +95,7 @@ NOVAPHY_ROW_KERNEL(actuation, ActuationArguments) {
       });
 }
 
-// Null tangents are zero; null outputs are not requested.
+// Arguments of the tangent. Null tangents are zero. Null outputs are not requested.
 struct ActuationJvpArguments {
   NOVAPHY_ARGUMENTS(Part<articulation::Actuation> in;
                     Each<Given<float>, articulation::kActuationInputs> tangent;
@@ -115,8 +114,8 @@ NOVAPHY_ROW_KERNEL(actuation_jvp, ActuationJvpArguments) {
       });
 }
 
-// Adds to the gradients of the inputs, one number after the other. Null outputs have a zero
-// gradient; null gradients are not requested.
+// Arguments of the adjoint, which adds to the gradients by the inputs, one number at a time. Null
+// outputs have a zero gradient. Null gradients are not requested.
 struct ActuationVjpArguments {
   NOVAPHY_ARGUMENTS(Part<articulation::Actuation> in;
                     Each<Given<float>, articulation::kActuationOutputs> out;
@@ -152,8 +151,8 @@ NOVAPHY_ROW_KERNEL(actuation_vjp, ActuationVjpArguments) {
   }
 }
 
-// A row per body: body_f plus the force of gravity compensation. World -1 stands for the last
-// world.
+// Gravity compensation: body_f plus its force, with a kernel row per body. World -1 stands for the
+// last world.
 struct GravcompInputs {
   NOVAPHY_ARGUMENTS(Given<int32_t> world; Given<float> gravcomp, mass; Given<Vec3f> gravity;
                     Given<SpatialVectorf> body_f; Number<int64_t> worlds;)
@@ -170,7 +169,7 @@ NOVAPHY_ROW_KERNEL(gravity_compensation, GravcompArguments) {
   a.out[row] = f;
 }
 
-// The tangents of the inputs; null: zeros.
+// The tangents of the inputs. Null: zeros.
 struct GravcompTangents {
   NOVAPHY_ARGUMENTS(Part<GravcompInputs> in; Changed<SpatialVectorf> out;
                     Given<float> gravcomp, mass; Given<Vec3f> gravity;
@@ -189,8 +188,8 @@ NOVAPHY_ROW_KERNEL(gravity_compensation_jvp, GravcompTangents) {
   a.out[row] = f;
 }
 
-// Adds to the gradients of the inputs; null: not requested. out: the gradient of the result. A
-// single row keeps the order of the sums fixed.
+// The adjoint of gravity compensation, which adds to the gradients by the inputs. Null: not
+// requested. out: the gradient by the result. One kernel row keeps the order of the sums fixed.
 struct GravcompGradients {
   NOVAPHY_ARGUMENTS(Part<GravcompInputs> in; Given<SpatialVectorf> out;
                     Changed<float> gravcomp, mass; Changed<Vec3f> gravity;

@@ -1,5 +1,5 @@
-// Internal: sleeping articulations in a step of SolverFeatherstone, on the CPU. Only a body on a
-// FREE joint of its own can sleep.
+// ArticulationSleep: sleeping articulations in a step of SolverFeatherstone, on the CPU. Internal.
+// Only a body that forms an articulation alone, on a FREE joint, can sleep.
 #pragma once
 
 #include <cstdint>
@@ -17,14 +17,15 @@ class ArticulationSleep {
   ArticulationSleep(const Model& model, const Articulations& articulations,
                     const SleepConfig& config);
 
-  // Returns the articulations that sleep in a step from `in`; null: none. `step` has all wrenches.
+  // Returns the articulations that sleep in a step from `in`. Null: none. `step` must have all
+  // wrenches.
   const SleepingTrees* begin(const Model& model, const SimState& in, const Contacts* contacts,
                              const Control* control, const ArticulationArguments& step, float dt);
-  // Call after the step. Copies the rows of sleeping articulations from `in` to `out`, with status
-  // 0.
+  // Copies the rows of sleeping articulations from `in` to `out`, and sets their status to 0. Call
+  // this after the step.
   void keep(const Model& model, const SimState& in, SimState& out,
             const DeviceArray<int32_t>& status) const;
-  // Call after a step that succeeded.
+  // Counts rest times and puts islands to sleep. Call this after a step that succeeded.
   void end(const Model& model, const SimState& in, SimState& out, float dt) {
     sleep_.end(model, in, out, dt);
   }
@@ -37,7 +38,7 @@ class ArticulationSleep {
   std::vector<Tree> all_;
   std::vector<int32_t> bound_;  // bodies that never sleep
   std::vector<int32_t> sides_, forced_, awake_;
-  std::vector<uint8_t> asleep_;  // for each articulation
+  std::vector<uint8_t> asleep_;  // per articulation
   SleepingTrees trees_;
   bool any_ = false;
 };

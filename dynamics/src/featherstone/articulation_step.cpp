@@ -17,7 +17,7 @@ namespace detail {
 const char* articulation_kernels_source();
 }
 
-// Never destroyed, because recordings refer to the kernel.
+// The object is never destroyed, because recordings refer to the kernel.
 const Kernel<ArticulationStepArguments>& tree_step_kernel() {
   static const auto& kernel = *new Kernel<ArticulationStepArguments>(
       kInChunks<articulation_step, kTreeRows>, detail::articulation_kernels_source);

@@ -1,4 +1,4 @@
-// The checks and the arguments of a step, which all solvers of articulations share.
+// The checks and the arguments of a step that all solvers of articulations share.
 #pragma once
 
 #include <span>
@@ -16,10 +16,10 @@
 
 namespace novaphy {
 
-// The number of trees or groups that a thread of the CPU takes at a time.
+// The number of trees or groups that a thread of the CPU handles at a time.
 inline constexpr uint32_t kTreeRows = 4;
-// Runs a kernel of a step on the CPU, with arguments in host memory and no recording. A thread
-// takes `chunk` rows at a time.
+// Runs a kernel of a step on the CPU without a recording. Arguments are in host memory. A thread
+// handles `chunk` rows at a time.
 template <class A>
 void run_rows(const RowKernel<A>& kernel, int64_t n, const std::type_identity_t<A>& in_memory,
               int64_t chunk = kTreeRows) {
@@ -40,47 +40,49 @@ void run_some(const RowKernel<A>& kernel, int64_t n, const std::type_identity_t<
              });
 }
 
-// The kernel of a step without contacts and dry friction.
+// Returns the kernel of a step without contacts and dry friction.
 const Kernel<ArticulationStepArguments>& tree_step_kernel();
 
-// ErrorKind::Value: a bad option. ErrorKind::NotImplemented: the model has parts besides
-// articulations.
+// Checks the options and the model. ErrorKind::Value: a bad option. ErrorKind::NotImplemented: the
+// model has particles.
 void check_featherstone_model(const Model& model, const FeatherstoneOptions& options,
                               const char* user);
-// Checks the materials of shapes in contact.
+// Returns the check for materials of touching shapes that the contact model does not support.
 UnsupportedMaterials unsupported_materials(ArticulationContact contact, const char* user);
 
-// ErrorKind::Runtime, naming the first dof that failed. `state`: where the step began, if known.
+// Throws ErrorKind::Runtime, with the first dof that failed, if a status is not 0. `state`: where
+// the step began, if known.
 void check_status(const Model& model, const Articulations& articulations,
                   std::span<const int32_t> status, const char* user,
                   const SimState* state = nullptr);
 
-// Does the same for a step from a state on the CPU. If a dof of the failed articulation moved too
+// The same check for a step from a state on the CPU. If a dof of the failed articulation moved too
 // fast, the message says so and names the contact with the largest force (empty: none).
 void check_exploded(const Model& model, const Articulations& articulations,
                     std::span<const int32_t> status, const SimState& from, float dt,
                     const std::string& largest_force, const char* user);
 
-// ErrorKind::Index: a status names a row of contacts; the message says what is wrong with its
+// Throws ErrorKind::Index if a status names a contact row. The message says what is wrong with its
 // shapes (null: unknown).
 void check_contact_status(std::span<const int32_t> status, const char* user,
                           const Model* model = nullptr, const int32_t* shape0 = nullptr,
                           const int32_t* shape1 = nullptr);
 
-// Declares the values that the host has checked and that no launch reads. A replay throws once they
-// were written.
+// Tells a capture which values the host has checked although no launch reads them. A replay throws
+// if such a value was written since.
 void depend_on_values(const Model& model, const Control* control);
-// Declares the same values without joint_friction, which the launch reads.
+// The same without joint_friction, which a launch reads.
 void depend_on_modes(const Model& model, const Control* control);
 
 // Computes the poses and velocities of all bodies from joint_q and joint_qd, on the CPU.
 void place_bodies(const Articulations& articulations, const ArticulationArguments& in,
                   Transformf* body_q, SpatialVectorf* body_qd);
 
-// Returns the floats of workspace per articulation for a step on a device; 0: the stack suffices.
+// Returns the size in floats of the workspace per articulation for a step on a device. 0: the stack
+// suffices.
 int64_t device_workspace(const Articulations& articulations);
-// Returns the floats of workspace per articulation for a step and its adjoint; 0: the stack of the
-// host suffices.
+// Returns the size in floats of the workspace per articulation for a step and its adjoint. 0: the
+// stack of the host suffices.
 int64_t step_workspace(const Articulations& articulations);
 
 // The tables that a step reads besides the arrays of step_arrays.h.
@@ -90,7 +92,8 @@ struct StepTables {
   Given<articulation::Link> links;
   Given<int32_t> dof_parent;
 };
-// argument(place) returns the array at a place, in the order of step_arrays.h.
+// Makes the arguments of a step. argument(place) returns the array at a place, in the order of
+// step_arrays.h.
 template <class T, class Argument>
 ArticulationArgumentsOf<T> arguments_of(const Argument& argument, const StepTables& tables,
                                         const FeatherstoneOptions& options, float dt) {

@@ -28,7 +28,7 @@ std::string joint_name(const Model& m, int64_t joint) {
          "')";
 }
 
-// A disabled joint has no coordinates in a tree, so articulations do not support one.
+// Throws if a joint is disabled. Trees have no coordinates for a disabled joint.
 void check_enabled(const Model& m, int64_t joint, bool enabled, const char* user) {
   if (enabled) return;
   fail(ErrorKind::NotImplemented, user, ": model.joint_enabled[", joint, "], of ",
@@ -38,7 +38,7 @@ void check_enabled(const Model& m, int64_t joint, bool enabled, const char* user
        "or use SolverSemiImplicit");
 }
 
-// Reports a joint outside of the articulations: a forgotten joint, or one that closes a loop.
+// Throws for a joint outside of the articulations: a forgotten joint, or one that closes a loop.
 void check_in_articulation(const Model& m, int32_t joint, const char* user) {
   const int32_t* const articulation = m.joint_articulation.data();
   if (articulation[joint] >= 0) return;
@@ -64,12 +64,12 @@ class TreeMaker {
   }
 
   void begin() { first_ = static_cast<int32_t>(links.size()); }
-  // The number of mimic joints in the articulation under construction.
+  // Returns the number of mimic joints in the articulation under construction.
   int32_t mimics() const {
     return static_cast<int32_t>(
         std::count_if(links.begin() + first_, links.end(), articulation::follows));
   }
-  // The largest number of moving joints on a path from the root to a leaf.
+  // Returns the largest number of moving joints on a path from the root to a leaf.
   int32_t joints_in_a_row() const {
     std::vector<int32_t> above(links.size() - static_cast<size_t>(first_), 0);
     int32_t most = 0;
@@ -82,7 +82,7 @@ class TreeMaker {
       has_cones = has_cones || (articulation::is_ball(link) &&
                                 model_.joint_limit_upper.data()[link.dof] < kJointUnlimited);
     }
-    // limits of cone joints need a mass matrix (factor.h)
+    // limits of BALL joints need a mass matrix (factor.h)
     return has_cones ? std::min(most, articulation::kMatrixJoints) : most;
   }
   int32_t link_count() const { return static_cast<int32_t>(links.size()) - first_; }
@@ -114,15 +114,15 @@ class TreeMaker {
     link_of_body_[static_cast<size_t>(child)] = parent;
   }
 
-  // Call after all joints.
+  // Checks for bodies without a joint. Call this after all joints.
   void check_bodies() const {
     for (size_t b = 0; b < link_of_body_.size(); ++b)
       require(link_of_body_[b] >= 0, ErrorKind::NotImplemented, user_, ": model: body ", b, " ('",
               model_.body_label[b], "') has no joint: add_body gives it a FREE one");
   }
 
-  // Sets the link that a mimic joint follows. Mimic joints may form a chain, so this is the joint
-  // at its end.
+  // Sets the leader of a mimic joint's link. Leaders may be mimic joints too, so the leader is the
+  // joint at the end of that chain.
   void follow(int32_t joint) {
     const int32_t* const leaders = model_.joint_mimic.data();
     if (leaders[joint] < 0) return;
@@ -143,7 +143,7 @@ class TreeMaker {
     link.offset = offset;
   }
 
-  // Ends an articulation: finds the parent of each degree of freedom, counted from the first.
+  // Ends an articulation: finds the parent of each degree of freedom, counted from the first one.
   void end(int32_t first_dof) {
     for (size_t i = static_cast<size_t>(first_); i < links.size(); ++i) {
       int32_t above = -1;
@@ -186,8 +186,8 @@ class TreeMaker {
   int32_t first_ = 0;
 };
 
-// Returns the condition number of T^T M T: its largest eigenvalue over its smallest, by power
-// iteration with the matrix and its inverse.
+// Returns the condition number of T^T M T (the mass matrix reduced by mimic joints): its largest
+// eigenvalue over its smallest, by power iteration with the matrix and its inverse.
 double matrix_condition(const articulation::Tree<float>& tree, const float* q,
                         const float* armature) {
   const int64_t n = tree.dof_count, width = n + 1;
@@ -200,7 +200,7 @@ double matrix_condition(const articulation::Tree<float>& tree, const float* q,
   for (int64_t k = 0; k < n; ++k) ws.matrix[k * n + k] += armature[k];
   articulation::reduce_matrix(tree, ws.matrix);
   std::vector<double> system(static_cast<size_t>(n * width));
-  double sizes[2];  // of the matrix, then of its inverse
+  double sizes[2];  // largest eigenvalue of the matrix, then of its inverse
   for (int inverse = 0; inverse < 2; ++inverse) {
     std::vector<double> x(static_cast<size_t>(n), 1.0);
     articulation::for_mimics(tree,
@@ -329,7 +329,7 @@ void Articulations::check_drives(const Model& m, const char* user) const {
          "]: ", dof_name(m, static_cast<int32_t>(k)), " is of a ", type, " joint, ", why, "; got ",
          got);
   };
-  int32_t of_joint = 0;  // degrees of freedom of the same BALL joint before this one
+  int32_t of_joint = 0;  // earlier degrees of freedom of the same BALL joint
   for (size_t k = 0; k < joint_of_dof_.size(); ++k) {
     const LinkJoint joint = joint_of_dof_[k];
     if (joint == LinkJoint::Prismatic || joint == LinkJoint::Revolute) continue;

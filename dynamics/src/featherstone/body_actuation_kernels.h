@@ -1,5 +1,6 @@
-// Actuators that push bodies (articulation/body_actuation.h) and the fluid (articulation/fluid.h),
-// with a row per articulation: their wrenches in body_f, the adjoint and the tangent.
+// Kernels for actuators that push bodies (articulation/body_actuation.h) and for fluid forces
+// (articulation/fluid.h). A kernel row is an articulation. The kernels add wrenches to body_f, and
+// compute the adjoint and the tangent.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
@@ -13,10 +14,10 @@ namespace novaphy {
 using articulation::DualFloat;
 inline constexpr int32_t kPushingInputs = articulation::kActuatorInputs - articulation::kActuated;
 
-// The actuators of articulation i are order[first[i]] to order[first[i + 1] - 1]. pushed: three
-// links of the articulation for each actuator, as PushedBody; -1: the world. in: the inputs from
-// kControl on. fluid: as fluid_place; null: no fluid. stride: floats of the workspace per
-// articulation.
+// The arguments. The actuators of articulation i are order[first[i]] to order[first[i + 1] - 1].
+// pushed: three links of the articulation per actuator, in the order of PushedBody; -1: the world.
+// in: the inputs from kControl on. fluid: the arrays of fluid_place; null: no fluid. stride: floats
+// of the workspace per articulation.
 template <class T>
 struct BodyActuationOf {
   NOVAPHY_ARGUMENTS(Given<ArticulationRows> rows; Given<articulation::Link> links;
@@ -38,7 +39,7 @@ template <class T>
 struct PushedTree {
   articulation::Tree<T> tree;
   articulation::Workspace<T> ws;
-  float* rest;  // the free rest of the workspace
+  float* rest;  // unused memory behind the workspace
 
   PushedTree(const BodyActuationOf<T>& a, int64_t row) {
     const ArticulationRows& rows = a.rows[row];
@@ -80,7 +81,7 @@ void push(const BodyActuationOf<T>& a, const articulation::PushedBody (&bodies)[
                               if (link >= 0) put(link, wrench);
                             });
 }
-// Returns one number of an input, at the place `at` of its array.
+// Returns the number of an input at the index `at` of its array.
 template <class T>
 float pushing_number(const BodyActuationOf<T>& a, int32_t input, int32_t at) {
   return a.in[input - articulation::kActuated][at];
@@ -98,8 +99,8 @@ void push_all(const BodyActuationOf<T>& a, int64_t row, const PushedTree<T>& tre
   }
 }
 
-// Calls put(body, wrench) with the wrench of the fluid on each body. number(place) returns the
-// number at a place of the arrays of the fluid.
+// Calls put(body, wrench) with the fluid's wrench on each body. number(place) returns the number at
+// a place of the fluid's arrays.
 template <class T, class Number, class Put>
 void drag_all(const BodyActuationOf<T>& a, int64_t row, const PushedTree<T>& tree,
               const Number& number, const Put& put) {
@@ -144,7 +145,7 @@ NOVAPHY_ROW_KERNEL(body_actuation, BodyActuationArguments) {
       [&](int32_t body, const SpatialVectorf& w) { a.out[body] = a.out[body] + w; });
 }
 
-// Null tangents are zero.
+// The arguments of the tangent. Null tangents are zero.
 struct BodyActuationJvpArguments {
   NOVAPHY_ARGUMENTS(Part<BodyActuationOf<DualFloat>> in; Each<Given<float>, kPushingInputs> tangent;
                     Each<Given<float>, articulation::kFluidInputs> fluid;
@@ -177,9 +178,10 @@ NOVAPHY_ROW_KERNEL(body_actuation_jvp, BodyActuationJvpArguments) {
       });
 }
 
-// Adds to the gradients of the inputs; null: not requested. out: the gradient of the result. poses,
-// motions: scratch memory {bodies}. A row has `trees` articulations: all of them where gradients of
-// worlds are requested, which keeps the order of the sums fixed.
+// The arguments of the adjoint, which adds to the gradients of the inputs. Null: not requested.
+// out: the gradient of the result. poses, motions: scratch memory {bodies}. A kernel row has
+// `trees` articulations. If gradients by arrays of worlds are requested, one row has all
+// articulations, so that the order of the sums is fixed.
 struct BodyActuationVjpArguments {
   NOVAPHY_ARGUMENTS(Part<BodyActuationOf<float>> in; Given<SpatialVectorf> out;
                     Each<Changed<float>, kPushingInputs> gradient;
@@ -192,17 +194,17 @@ inline float dot_tangent(const SpatialVectorf& g, const SpatialVector<DualFloat>
          (g.linear.z * w.linear.z.tangent + g.angular.x * w.angular.x.tangent) +
          (g.angular.y * w.angular.y.tangent + g.angular.z * w.angular.z.tangent);
 }
-// Adds the gradient of the pose and the velocity of a body, in the order of number_of.
+// Adds the gradient by the pose and the velocity of a body, in the order of number_of.
 inline void add_to_body(const BodyActuationVjpArguments& a, int32_t body, const float* g) {
   Transformf& pose = a.poses[body];
   pose = {pose.p + Vec3f{g[0], g[1], g[2]},
           {pose.q.x + g[3], pose.q.y + g[4], pose.q.z + g[5], pose.q.w + g[6]}};
   a.motions[body] = a.motions[body] + SpatialVectorf{{g[7], g[8], g[9]}, {g[10], g[11], g[12]}};
 }
-// Adds the gradient of the fluid, one number of a body after the other.
+// Adds the gradients by the inputs of the fluid force, one number of a body at a time.
 inline void drag_gradient(const BodyActuationVjpArguments& a, int64_t row,
                           const PushedTree<float>& tree) {
-  constexpr int32_t kFirst = 3, kOfBody = 13;  // rotation, velocity, angular velocity in number_of
+  constexpr int32_t kFirst = 3, kOfBody = 13;  // in number_of: rotation, velocity, angular velocity
   for (int32_t i = 0; a.in.fluid[0] != nullptr && i < tree.tree.link_count; ++i) {
     const int32_t body = tree.body(i);
     if (body < 0) continue;
@@ -231,7 +233,7 @@ inline void drag_gradient(const BodyActuationVjpArguments& a, int64_t row,
     add_to_body(a, body, of_body);
   }
 }
-// Adds the gradient of one actuator, one number of its inputs after the other.
+// Adds the gradients by the inputs of one actuator, one number at a time.
 inline void push_gradient(const BodyActuationVjpArguments& a, const PushedTree<float>& tree,
                           int32_t actuator, Vec3f* com) {
   const int32_t* const links = a.in.pushed + 3 * actuator;
@@ -298,7 +300,7 @@ inline void body_gradient(const BodyActuationVjpArguments& a, int64_t row) {
     for (int32_t i = 0; a.com != nullptr && i < tree.link_count; ++i)
       if (at.body(i) >= 0) a.com[at.body(i)] = a.com[at.body(i)] + com[i];
   };
-  add_com();  // first the gradient through the arms; then that through the kinematics
+  add_com();  // first the gradient through the arms, then that through the kinematics
   const Transformf* const poses = a.poses;
   const SpatialVectorf* const motions = a.motions;
   articulation::KinematicsGradient<float> g{q, qd, com};

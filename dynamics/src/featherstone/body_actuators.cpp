@@ -95,7 +95,7 @@ void BodyActuators::forces(const Model& m, const SimState& state, const Number& 
   }
 }
 
-// Never destroyed, because recordings refer to the kernels.
+// The object is never destroyed, because recordings refer to the kernels.
 const BodyActuationKernels& body_actuation_kernels() {
   static const auto& kernels =
       *new BodyActuationKernels{{body_actuation, detail::body_actuation_kernels_source},

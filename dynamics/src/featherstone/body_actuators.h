@@ -1,4 +1,4 @@
-// The actuators of a model that push bodies and its fluid: their wrenches in a step.
+// The actuators of a model that push bodies, and the model's fluid: their wrenches in a step.
 #pragma once
 
 #include <functional>
@@ -17,32 +17,36 @@ inline std::array<Array, articulation::kFluidInputs> fluid_arrays(const Model& m
 
 class BodyActuators {
  public:
-  // ErrorKind::NotImplemented, naming the actuator: its bodies belong to different articulations.
+  // Throws ErrorKind::NotImplemented, with the actuator, if its bodies belong to different
+  // articulations.
   explicit BodyActuators(const Model& model);
 
   int64_t count() const { return articulations_.count(); }
-  // The body of an actuator, its reference body, and the nearest common ancestor of both; -1: the
+  // The body of an actuator, its reference body, and the nearest common ancestor of both. -1: the
   // world.
   struct Bodies {
     int32_t of[articulation::kPushed];
   };
   const std::vector<Bodies>& bodies() const { return bodies_; }  // a row per actuator
-  // A degree of freedom in the articulation of each actuator; -1: the actuator pushes no bodies.
+  // Returns a dof in the articulation of each actuator. -1: the actuator pushes no bodies.
   const std::vector<int32_t>& dofs() const { return dofs_; }
-  // Writes the forces of the actuators that push bodies into `all`. `number` is that of actuate.
+  // Writes the forces of the actuators that push bodies into `all`. `number`: as for `actuate`.
   using Number = std::function<articulation::DualFloat(int32_t, int32_t, int32_t)>;
   void forces(const Model& model, const SimState& state, const Number& number,
               std::vector<float>& all) const;
-  // Returns the floats of workspace per articulation, for a step with numbers of type T.
+  // Returns the size in floats of the workspace per articulation, for a step with scalars of type
+  // T.
   template <class T>
   int64_t stride() const {
     return (body_actuation_bytes<T>(articulations_.max_links(), articulations_.max_dofs()) + 15) /
            16 * 4;
   }
-  // The workspace for floats, which all steps share; the adjoint's memory has 13 numbers per body.
+  // The workspace for float steps, which all steps share. The adjoint's memory has 13 numbers per
+  // body.
   const DeviceArray<float>& workspace() const { return workspace_; }
   const DeviceArray<float>& adjoint_memory() const { return adjoint_memory_; }
-  // `take(array)` returns the numbers of an array as type T. `flows`: the fluid acts.
+  // Returns the arguments of the kernels. take(array): the numbers of an array as type T. `flows`:
+  // whether the fluid acts.
   template <class T, class Take>
   BodyActuationOf<T> arguments(const Model& m, const ActuationArrays& inputs, bool flows,
                                const Array& q, const Array& qd, const DeviceArray<float>& workspace,

@@ -1,4 +1,4 @@
-// The search for contacts that begin in a step.
+// The search for contacts that begin in a step, for gradients of the motion.
 #include <algorithm>
 #include <cmath>
 #include <utility>
@@ -11,10 +11,10 @@ namespace {
 namespace art = articulation;
 constexpr float kLeastApproach = 1e-3f;  // m/s
 constexpr float kParallel = 0.999f;
-constexpr float kAtCone = 0.999f;  // above this part of the cone, friction slides
-constexpr float kTurned = 0.02f;   // change of direction, as a part of the coefficient of friction
+constexpr float kAtCone = 0.999f;  // above this fraction of the cone, friction slides
+constexpr float kTurned = 0.02f;   // change of direction, relative to the coefficient of friction
 
-// Returns whether two contacts have the same delay: the same links, and the same normal.
+// Returns whether two contacts have the same delay: the same links and the same normal.
 bool hit_together(const art::ContactRows& c, const art::IslandContact& a,
                   const art::IslandContact& b) {
   for (int side = 0; side < 2; ++side)
@@ -25,8 +25,8 @@ bool hit_together(const art::ContactRows& c, const art::IslandContact& a,
 }
 
 // Returns the velocities along the normals of an island without its impulses. The function removes
-// the impulses and adds them again, which rounds differently. Call it only after the step has
-// written its results.
+// the impulses and adds them again, which changes bits. Call this only after the step has written
+// its results.
 std::vector<float> free_slips(const GroupStep& s, int32_t root) {
   const IslandNode& node = s.a.nodes[root];
   art::IslandContact* const rows = rows_of(s, root);
@@ -50,8 +50,9 @@ void for_rows(const GroupStep& s, int32_t root, const F& f) {
   for (int32_t n = 0; n < s.a.nodes[root].rows; ++n) f(rows_of(s, root)[n], n);
 }
 
-// Returns which rows of an island hit. `continues`: the step before is known. Rows that others hold
-// back (corners of a face) push nothing in the step, so smooth motion is without them, too.
+// Returns which rows of an island hit. `continues`: the step before is known. Some approaching rows
+// do not push, because other rows stop them (corners of a face). The smooth motion excludes these
+// rows too.
 std::vector<char> find_hits(const GroupStep& s, int32_t root, bool continues,
                             ContactEvents& found) {
   const SeenContact* const seen = s.all.seen_before + s.all.seen_begin[s.group];
@@ -93,8 +94,8 @@ LandedRow landed_row(const art::ContactRows& c, const art::IslandContact& row) {
           .slip = slip_of(row)};
 }
 
-// Adds the groups of an island's rows that hit to the event. `begin`: the first dof of each tree of
-// the event. `number`: of the event.
+// Adds the groups of an island's rows that hit to the event. `begin`: the first dof of each tree
+// within the event. `number`: the index of the event.
 void add_groups(const GroupStep& s, int32_t root, const std::vector<char>& hits,
                 const std::vector<int32_t>& begin, size_t dofs, size_t number, ContactEvent& event,
                 std::vector<LandedRow>& landed) {
@@ -179,7 +180,7 @@ ContactEvents ContactSteps::events(const float* qd, bool continues,
         event.trees.push_back(i);
       };
       for (int32_t i = root; i >= 0; i = s.a.nodes[i].next) add_tree(i);
-      // Kinematic trees belong to no island, and the time of a hit depends on their motion.
+      // Kinematic trees belong to no island, but the time of a hit depends on their motion.
       for_rows(s, root, [&](const art::IslandContact& row, int32_t n) {
         for (int side = 0; hits[static_cast<size_t>(n)] != 0 && side < 2; ++side) {
           const int32_t i = row.sides[side].tree;

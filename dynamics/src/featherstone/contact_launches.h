@@ -1,4 +1,4 @@
-// The kernels of ContactSteps.
+// The kernels that ContactSteps launches.
 #pragma once
 
 #include "articulation_contact_kernels.h"
@@ -38,7 +38,7 @@ struct ContactKernels {
   Kernel<ArticulationMaterialClearArguments> clear{articulation_material_clear, vjp_text};
   Kernel<ArticulationMaterialGradientArguments> materials{articulation_material_gradient, vjp_text};
 };
-// Never destroyed, because recordings refer to the kernels.
+// The object is never destroyed, because recordings refer to the kernels.
 inline const ContactKernels& contact_kernels() {
   static const auto& all = *new ContactKernels;
   return all;

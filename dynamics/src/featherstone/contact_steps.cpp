@@ -21,7 +21,7 @@ constexpr size_t kKeptNumbers = sizeof(art::KeptContact) / sizeof(float),
 
 int64_t numbers(int64_t bytes) { return bytes / static_cast<int64_t>(sizeof(float)); }
 
-// Finds the group of each articulation from its world. Returns the number of groups.
+// Finds the group of each articulation from its world, and returns the number of groups.
 int32_t find_groups(const Model& m, std::vector<int32_t>& groups) {
   const OnHost<int32_t> start(m.articulation_start), world(m.joint_world);
   bool one = false;
@@ -33,7 +33,7 @@ int32_t find_groups(const Model& m, std::vector<int32_t>& groups) {
     std::fill(groups.begin(), groups.end(), 0);
     return 1;
   }
-  std::vector<int32_t> worlds = groups;  // the worlds that have articulations
+  std::vector<int32_t> worlds = groups;  // worlds that have articulations
   std::sort(worlds.begin(), worlds.end());
   worlds.erase(std::unique(worlds.begin(), worlds.end()), worlds.end());
   for (int32_t& group : groups)
@@ -197,7 +197,7 @@ ContactShapes ContactSteps::shapes(const ContactArguments& contacts) const {
           .bodies = model_.body_count()};
 }
 
-// Lists the contacts of each group, in their order.
+// Lists the contacts of each group in their order.
 void ContactSteps::list_contacts(const ContactArguments& contacts, const ContactRecord& record,
                                  const SleepingTrees* sleeping) const {
   run(contact_kernels().contact_group, contacts.most,

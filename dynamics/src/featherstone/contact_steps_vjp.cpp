@@ -1,4 +1,4 @@
-// The adjoints and tangents of ContactSteps, and the records that their steps store.
+// The adjoints and tangents of ContactSteps, and the branch counts that its steps store.
 #include <algorithm>
 #include <cstring>
 
@@ -15,8 +15,8 @@ constexpr size_t kNoteNumbers = sizeof(art::BranchNotes) / sizeof(int32_t),
                  kBranchNumbers = sizeof(ContactBranches) / sizeof(int32_t),
                  kSeenNumbers = sizeof(SeenContact) / sizeof(int32_t),
                  kMaterialNumbers = sizeof(art::MaterialGradient) / sizeof(float);
-// The limit on the memory for the linear systems of all groups. Below the limit, any contacts fit.
-// Above it, a group with kLeastContacts still fits if there are several groups.
+// Upper bound of the memory for the linear systems of all groups. Any contacts fit if the total is
+// below this bound. Otherwise, with several groups, each group still has memory for kLeastContacts.
 constexpr int64_t kMostSystems = int64_t{1} << 24;  // numbers of 8 bytes
 constexpr int64_t kLeastContacts = 16;
 constexpr int64_t kSomeNotes = 128;  // rows in which the notes of groups are summed in parts
@@ -110,14 +110,14 @@ void ContactSteps::reserve_adjoint(bool dry, bool materials) {
   if (slots > adjoint_capacity_ || dofs > adjoint_dofs_) {
     const int64_t fits = (kMostSystems / slots - 3 - 6 * dofs) / 9;
     const int64_t contacts = std::min(slots, std::max(fits, kLeastContacts));
-    // For c contacts and d dofs, a system has (3 c + d) (3 c + d + 1) numbers.
+    // The system of c contacts and d dofs has (3 c + d) (3 c + d + 1) numbers.
     system_of_contact_ = 9 * contacts + 6 * dofs + 3;
     system_of_group_ = dofs * (dofs + 1) + 1;
     if (groups_ == 1) {
       system_of_contact_ = 0;
       system_of_group_ = std::min(art::adjoint_numbers(slots, dofs) + 1, kMostSystems);
     }
-    if (device.is_cpu()) {  // the CPU uses thread_numbers instead
+    if (device.is_cpu()) {  // the CPU uses memory of each thread instead
       system_of_contact_ = 0;
       system_of_group_ = 1;
     }

@@ -1,5 +1,5 @@
-// Chooses the trees of a step with contacts on the CPU: trees without neighbors go to TreeSteps,
-// and sleeping trees are skipped.
+// Chooses the trees of a step with contacts on the CPU. Trees that touch only the world go to
+// TreeSteps, and sleeping trees are skipped.
 #include <algorithm>
 #include <cstring>
 
@@ -14,7 +14,7 @@ namespace art = articulation;
 
 namespace {
 
-// The contacts of the trees that TreeSteps takes.
+// The contacts of the trees that TreeSteps solves.
 class TakenContacts : public TreeContacts {
  public:
   explicit TakenContacts(const ArticulationContactStepArguments& a) : s_(a, nullptr, 0) {}
@@ -47,12 +47,12 @@ class TakenContacts : public TreeContacts {
     const int32_t group = s_.a.shapes.group_of_tree[tree];
     return s_.all.places[s_.a.contact_begin[group] + node(tree).begin + i];
   }
-  const GroupStep s_;  // of an arbitrary group: the functions used here do not depend on the group
+  const GroupStep s_;  // of any group: the functions used here do not depend on the group
 };
 
 }  // namespace
 
-// Lets TreeSteps step all trees that touch only the world. Returns whether other trees remain.
+// Makes TreeSteps step all trees that touch only the world. Returns whether other trees remain.
 bool ContactSteps::take_trees(const FeatherstoneOptions& options, TreeSteps& lanes,
                               bool keeps_rates, const SleepingTrees* sleeping) {
   const std::span<IslandNode> nodes = nodes_here();
@@ -78,7 +78,7 @@ void ContactSteps::hold_some(const SleepingTrees& sleeping) {
     if (sleeping.asleep[i] != 0) rows_[i].moves = 0;
 }
 
-// Prepares the sleeping trees, because other trees may touch them.
+// Computes the frames of sleeping trees, because other trees may touch them.
 void ContactSteps::open_some(const SleepingTrees& sleeping, const ContactArguments& contacts) {
   last_->step.in.rows = direct(rows_.data());
   const GroupStep any(*last_, nullptr, 0);

@@ -36,7 +36,7 @@ struct OwnWorkspace {
         ws(articulation::make_workspace<T>(memory.data(), links, dofs)) {}
 };
 
-// The arrays of a step as dual numbers with zero tangents, in memory that is reused.
+// The arrays of a step as dual numbers with zero tangents, in memory that steps share.
 class DualStep {
  public:
   void load(const NamedStepArrays& from, const Tree<float>& tree, const ArticulationArguments& a) {
@@ -130,8 +130,8 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
             q.size(), " and ", qd.size(), " joint coordinates and velocities, got ",
             state.joint_q.rows(), " and ", state.joint_qd.rows());
   }
-  // Whether the articulation's rows of a state equal q_ and qd_. The rates may differ by `off`.
-  // With `touches` q_ is not compared, because contacts may have shifted the positions.
+  // Returns whether the articulation's rows of a state equal q_ and qd_. Rates may differ by `off`.
+  // With `touches` positions are not compared, because contacts may have shifted them.
   bool same(const SimState& state, const std::vector<float>& q_, const std::vector<float>& qd_,
             const Tree<float>& tree, float off = 0.0f, bool touches = false) const {
     const auto near = [&](const float* values, const std::vector<float>& expected, int32_t row) {
@@ -156,7 +156,7 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
       require(std::isfinite(values[i]), ErrorKind::Value, kStep, ", ", name, "[", i / parameters(),
               ", ", i % parameters(), "]: expected a finite number, got ", values[i]);
   }
-  // A target may only change if a drive follows it.
+  // Throws if a target without a drive changes, because its change would have no effect.
   void check_followed(const Tree<float>& tree, const StepInputs<float>& in,
                       std::span<const float> values, bool rate, const char* name) const {
     for (int32_t i = 0; i < tree.link_count; ++i) {
@@ -178,7 +178,7 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
     }
   }
 
-  // Returns one column: a number per dof for one parameter. null: no change.
+  // Returns one column of `values`: a number per dof for one parameter. Null: no change.
   const float* take_column(std::span<const float> values, size_t parameter, size_t slot) {
     if (values.empty()) return nullptr;
     float* const to = column.data() + slot * dofs;
@@ -201,7 +201,7 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
     const auto held = [&](size_t k) {
       return articulation::has(single.ws.branch[k], articulation::kVelocityClamped);
     };
-    if (articulation::holds_rates(tree, single.ws)) {  // velocity limits hold these rates constant
+    if (articulation::holds_rates(tree, single.ws)) {  // rates at a velocity limit stay constant
       for (size_t k = 0; k < dofs; ++k) stopped[k] = held(k) ? -from_dv[k] / o.dt : 0.0f;
       float *const with_them = stopped.data() + dofs, *const without = single.ws.rhs;
       const float* const rates = in.qd + first_dof;
@@ -241,7 +241,7 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
     for (size_t k = 0; k < dofs; ++k) to_dv[k] = dual.ws.qd_next[k].tangent;
   }
 
-  // Computes the point and its Jacobians after finish_step of the new state; `exact`: dual numbers.
+  // Computes the point and its Jacobians after finish_step. `exact`: by dual numbers.
   void find_point(const Tree<float>& tree, const ArticulationArguments* a) {
     const size_t n = parameters();
     const PointState<float> at =
@@ -311,7 +311,7 @@ struct FeatherstoneAnalyticControlSensitivity::Impl {
   bool started = false;
   std::vector<float> dq, dv, next_dq, next_dv;     // {parameters, dofs}
   std::vector<float> jacobian, velocity_jacobian;  // {3, parameters}
-  std::vector<float> q, qd, q_next, qd_next;       // rows of the arrays at the end of the last step
+  std::vector<float> q, qd, q_next, qd_next;       // as model arrays, at the end of the last step
   std::vector<Transformf> body_q;
   std::vector<SpatialVectorf> body_qd;
   std::vector<float> column, tangent, stopped;
@@ -402,7 +402,7 @@ void FeatherstoneAnalyticControlSensitivity::step(const SimState& state_in,
           ", state_in: expected the state that reset or the last step ended with");
   const bool touches = contacts != nullptr;
   bool stepped = articulation::accelerate(tree, in, options, false, s.single.ws) < 0;
-  float off = 0.0f;  // tolerance of rates under contacts: 1e-5 of the largest intermediate rate
+  float off = 0.0f;  // tolerance of rates with contacts: 1e-5 of the largest intermediate rate
   for (int32_t round = 0; stepped; ++round) {
     articulation::free_rates(tree, in, options, s.single.ws);
     s.contacts.find(m, contacts, state_out, tree, s.single.ws, kStep);
@@ -441,7 +441,7 @@ void FeatherstoneAnalyticControlSensitivity::step(const SimState& state_in,
       "dt, contacts, angular_damping (",
       s.options.solver.angular_damping, ") and implicit_drives (", s.options.solver.implicit_drives,
       ")");
-  if (touches) {  // take the exact bits from which the next step starts
+  if (touches) {  // the next step starts from exactly these bits
     std::copy_n(state_out.joint_q.data(), s.q.size(), s.q_next.begin());
     std::copy_n(state_out.joint_qd.data(), s.qd.size(), s.qd_next.begin());
     articulation::link_frames(tree, s.q_next.data(), s.single.ws);

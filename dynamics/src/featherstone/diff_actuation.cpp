@@ -8,16 +8,15 @@ namespace {
 
 namespace art = articulation;
 
-// Returns a gradient as an argument; null: not requested. A gradient without earlier terms is set
-// to zero first.
+// Returns a gradient as an argument. Null: not requested. If the gradient has no earlier terms, it
+// is set to zero first.
 Untyped gradient_of(const nova::InputGradient& to) {
   if (!to.wanted()) return Untyped(nullptr);
   if (!to.add) nova::submit_fill(to.grad.range(), 0.0f);
   return argument(to.grad);
 }
 
-// The tensors of the arrays that have rows, and the index of each array among the tensors; -1: the
-// array has no rows.
+// The tensors of the arrays that have rows, and the index of each array's tensor. -1: no rows.
 struct Rows {
   std::vector<Tensor> tensors;
   std::vector<int32_t> place;
@@ -84,7 +83,7 @@ void submit_drives(const std::shared_ptr<const Actuators>& actuators, const Mode
               }});
 }
 
-// The actuators that push bodies and the fluid, in a step.
+// The wrenches of actuators on bodies and of the fluid in a step, as an operation of a tape.
 class Push {
  public:
   static constexpr size_t kFirstOfFluid = kPushingInputs + 4, kOfWorlds = 3;
@@ -99,7 +98,8 @@ class Push {
         body_f_(body_f),
         sum_(sum) {}
 
-  // Returns the kPushingInputs arrays, then body_f, q, qd and body_com, then those of the fluid.
+  // Returns the kPushingInputs arrays, then body_f, q, qd and body_com, then the arrays of the
+  // fluid.
   std::vector<Array> arrays() const {
     std::vector<Array> all(inputs_.begin() + art::kActuated, inputs_.end());
     for (const Array& array :
@@ -113,7 +113,8 @@ class Push {
     run(body_actuation_kernels().forward, trees(),
         {.in = arguments(), .body_f = Untyped(body_f_), .out = Untyped(sum_)});
   }
-  // to(i) returns the gradient of array i. `ordered`: some of them are of worlds.
+  // Runs the adjoint. to(i) returns the gradient by array i. `ordered`: some arrays belong to
+  // worlds, so that a fixed order of sums needs one kernel row.
   template <class To>
   void vjp(const Tensor& gradient, bool ordered, const To& to) const {
     const auto& memory = bodies_->adjoint_memory().range();
@@ -131,7 +132,7 @@ class Push {
          .motions = nova::part_of(memory, poses, motions),
          .trees = ordered ? trees() : 1});
   }
-  // tangent(i) returns the tangent of array i.
+  // Runs the tangent. tangent(i) returns the tangent of array i.
   template <class Of>
   void jvp(const Tensor& to, const Of& tangent) const {
     const BodyActuators& all = *bodies_;
@@ -139,7 +140,7 @@ class Push {
       const UntrackedScope untracked;
       return DeviceArray<float>(static_cast<size_t>(numbers), model_->device());
     };
-    std::vector<DeviceArray<float>> duals;  // the dual numbers of the arrays that the trees read
+    std::vector<DeviceArray<float>> duals;  // dual numbers of the arrays that the trees read
     const auto take = [&](const Array& array) {
       const std::pair<const Array&, size_t> moving[] = {{q_, 1}, {qd_, 2}, {model_->body_com, 3}};
       Tensor along;
@@ -161,7 +162,7 @@ class Push {
   }
 
  private:
-  // Returns take(i) of the arrays of the fluid.
+  // Returns take(i) for each array i of the fluid.
   template <class Take>
   auto of_fluid(const Take& take) const {
     return each<art::kFluidInputs>(

@@ -1,5 +1,5 @@
 // The delays of the events of a step (diff_articulation_motion.h), as functions of the state and of
-// the limits of joints. A limit as a row has the gap d = side (q - limit).
+// the joint limits. A limit as a constraint row has the gap d = side (q - limit).
 #include "diff_articulation_motion.h"
 #include "diff_articulation_parts.h"
 
@@ -9,7 +9,8 @@ namespace art = articulation;
 
 namespace {
 
-// Returns an event's sum of |dp_g . v|. The delay of a group has the weight w_g / |dp_g . v|.
+// Returns the sum of |dp_g . v| over the groups g of an event. The delay of group g has the weight
+// w_g / |dp_g . v|.
 float total_approach(const ContactEvent& event) {
   float sum = 0.0f;
   for (const ContactEvent::Group& g : event.groups) sum += g.approach;

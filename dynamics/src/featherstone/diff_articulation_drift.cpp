@@ -1,4 +1,4 @@
-// The drift of H of adjoints (AdjointDrift of gradient_info.h).
+// The drift of H = p . f of adjoints (AdjointDrift of gradient_info.h).
 #include <algorithm>
 
 #include "diff_articulation_motion.h"

@@ -7,9 +7,9 @@ namespace novaphy::diff::detail {
 
 using articulation::DualFloat;
 
-// `take(values, tangent)` returns the dual numbers of an array; an undefined tangent is 0. `t`: the
-// tangents of the inputs. `from`: the state at which the step starts (null: its inputs). Branches
-// and tables are those of the recorded step.
+// Returns the arguments. take(values, tangent): the dual numbers of an array; an undefined tangent
+// is 0. `t`: the tangents of the inputs. `from`: the state at which the step starts; null: the
+// step's inputs. Branches and tables are those of the recorded step.
 template <class Take>
 ArticulationArgumentsOf<DualFloat> dual_arguments(const Step& s, const StepOutputs* from,
                                                   std::span<const Tensor> t, const Take& take) {

@@ -14,7 +14,7 @@ Tensor tensor_of(const Array& array) {
       operand.range, {operand.rows, operand.width}, is_float ? nova::DType::F32 : nova::DType::I32};
 }
 
-// Returns a part of the memory of contacts: host memory if nothing records the launches.
+// Returns a part of the memory of stored contacts: as host memory if nothing records the launches.
 Untyped part_of(const Step& s, int64_t first, int64_t count) {
   if (s.shared->runs_on_host()) return Untyped(numbers(s.contacts) + first);
   const auto bytes = [](int64_t n) { return static_cast<size_t>(n) * sizeof(float); };
@@ -122,7 +122,7 @@ StepOutputs outputs_of(const Step& s) {
 
 namespace {
 
-// Call after a recorded step. Stores the events and branches of its contacts.
+// Stores the events and branches of a step's contacts. Call this after a recorded step.
 void tell_contacts(const Step& s) {
   ArticulationStep::Shared& shared = *s.shared;
   if (s.motion) {
@@ -137,7 +137,7 @@ void tell_contacts(const Step& s) {
   shared.contacts.clear_branches();
 }
 
-// `tell`: also stores the branches, and writes the contact forces.
+// Runs a step with contacts. `tell`: also stores the branches, and writes the contact forces.
 void run_contacts(const Step& s, const ArticulationStepArguments& step, bool tell) {
   ArticulationStep::Shared& shared = *s.shared;
   ContactArguments rows = kept_arguments(s);

@@ -28,7 +28,7 @@ class DualArrays {
 
  private:
   const DeviceArray<float>& memory_;
-  size_t used_ = 0;  // in bytes
+  size_t used_ = 0;  // bytes
 };
 
 // Returns the number of dual numbers in all arrays of a step.
@@ -40,8 +40,8 @@ int64_t dual_numbers(const Step& s) {
   return sum;
 }
 
-// Computes the tangent of the step into `to`. `from`: the state at which the step starts (null: its
-// inputs).
+// Computes the tangent of the step into `to`. `from`: the state at which the step starts. Null: the
+// step's inputs.
 void run_jvp(const Step& s, const StepOutputs* from, const StepOutputs& to,
              std::span<const Tensor> t, std::span<const Tensor> tangents) {
   require_converged(s, "jvp");

@@ -32,8 +32,8 @@ bool is_of_ball(const Step& s, int32_t tree, int32_t dof) {
                      [&](const art::Link& link) { return art::is_ball(link) && link.dof == dof; });
 }
 
-// Computes the gradient of the event function of a limit that lets go. The event function is the
-// force of the limit at the end of the step F_A, which ends at `q` and `qd`.
+// Computes the gradient of the event function g of a limit whose force ends. g is the force of the
+// limit at the end of the step F_A, where the state is (`q`, `qd`).
 void add_force_gradient(const art::Tree<float>& tree, const art::Link& link,
                         const art::StepInputs<float>& in, const art::StepOptions<float>& options,
                         std::span<const float> qdd, std::span<const float> branch,
@@ -56,7 +56,7 @@ void add_force_gradient(const art::Tree<float>& tree, const art::Link& link,
 }
 
 // Adds the event of a dof whose limit pushes in only one of two consecutive steps. `acted`: the
-// limit pushed in the first of the two.
+// limit pushed in the first of these steps.
 void add_limit_event(const Step& s, int32_t t, int32_t dof, bool acted) {
   const ArticulationArguments in = host_arguments(s);
   const ArticulationRows& of = rows_of_step(s)[t];
@@ -70,10 +70,10 @@ void add_limit_event(const Step& s, int32_t t, int32_t dof, bool acted) {
   const auto bits = static_cast<int32_t>(now[static_cast<size_t>(dof)]);
   const bool released = (bits & art::kLimitReleased) != 0;
   if (!acted && (bits & art::kOutside) == 0) return;
-  // F_A is the step with the branch from before the event.
+  // F_A is the step with the dof's branch from before the event.
   int32_t other = bits & ~(art::kOutside | art::kLimitReleased);
   if (acted && released) other |= bits & art::kOutside;
-  if (acted && !released) return;  // inside of the limit again, after the limit let go
+  if (acted && !released) return;  // within the limits again: the force ended earlier
   branch[static_cast<size_t>(dof)] = static_cast<float>(other);
   std::vector<uint64_t> work(
       static_cast<size_t>(art::workspace_bytes<float>(of.link_count, of.dof_count) / 8 + 1));
@@ -136,7 +136,8 @@ void note_limits(const Step& s, const MotionNotes* last) {
       const bool acted = acts(last->branch[static_cast<size_t>(k)]);
       if (acted == acts(notes.branch[static_cast<size_t>(k)])) continue;
       const size_t known = notes.limits.size();
-      // The limit of a BALL's angle, and of a tree in contact, has no event whose time moves.
+      // The limit of a BALL's angle, and limits in a tree with contacts, have no event whose time
+      // moves.
       if (touches || is_of_ball(s, t, k))
         ++s.shared->motion.unmoved;
       else

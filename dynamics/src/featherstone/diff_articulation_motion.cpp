@@ -42,7 +42,8 @@ struct SomeContacts {
   }
 };
 
-// Returns the accelerations of a step from in.q and in.qd with contacts; NaN if the step fails.
+// Returns the accelerations {dofs} of a step from in.q and in.qd with contacts. NaN: the step
+// fails.
 std::vector<float> accelerations(const Step& s, const ArticulationArguments& in,
                                  const art::ContactRows& contacts) {
   const Unrecorded unrecorded(true);
@@ -76,7 +77,8 @@ std::vector<float> accelerations(const Step& s, const ArticulationArguments& in,
   return qdd;
 }
 
-// Returns the accelerations without the contacts that hit in the step and these dofs' limits.
+// Returns the accelerations {dofs} without the contacts that hit in the step, and without the
+// limits of the dofs `limits`.
 std::vector<float> smooth_accelerations(const Step& s, ArticulationArguments in,
                                         std::span<const int32_t> limits) {
   const LiftedLimits lifted(s, limits, in);
@@ -94,7 +96,8 @@ bool same_controls(const Step& a, const Step& b) {
   return true;
 }
 
-// Returns the accelerations at the end of a last step. The contacts that push in the step go on.
+// Returns the accelerations {dofs} at the end of the chain's last step. Contacts that push in the
+// step continue to push.
 std::vector<float> last_accelerations(const Step& s) {
   ArticulationArguments in = host_arguments(s);
   in.arrays.q = direct(numbers(s.outputs[0].tensor));
@@ -106,10 +109,10 @@ std::vector<float> last_accelerations(const Step& s) {
   return accelerations(s, in, pushing.rows());
 }
 
-// The accelerations of f after a step, and for each tree whether an event goes on.
+// The accelerations in f after a step, and for each tree whether an event continues after the step.
 struct EndOfStep {
   std::vector<float> qdd;    // {dofs}
-  std::vector<char> inside;  // {trees}: 1 if an event goes on
+  std::vector<char> inside;  // {trees}: 1 if an event continues
   std::shared_ptr<MotionNotes> next;
   explicit EndOfStep(const Step& s) : next(s.motion->next.lock()) {
     const auto trees = static_cast<size_t>(s.count);
@@ -138,7 +141,7 @@ void note_motion(const std::shared_ptr<const Step>& step,
   const float* const qd_next = numbers(s.outputs[1].tensor);
   const auto dofs = static_cast<size_t>(s.in(kAt.qd).size());
   MotionNotes* const last = before ? before->motion.get() : nullptr;
-  bool follows = false;  // an earlier event ends at the start of this step, or goes on
+  bool follows = false;  // an earlier event ends at the start of this step, or continues
   find_stops(s, last,
              [&](std::span<const int32_t> limits) { return smooth_accelerations(s, in, limits); });
   tell_events(s, in, before.get());
@@ -237,8 +240,8 @@ void motion_vjp(const Step& s, std::span<const Tensor> outputs,
 
 namespace {
 
-// Adds to raw coordinates, rates and poses the displacement by the motion f = (qd, qdd) in the
-// times `dt` {trees} (s).
+// Adds to coordinates (four numbers per quaternion), rates and poses the displacement by the motion
+// f = (qd, qdd) in the times `dt` {trees} (s).
 void move_on(const Step& s, const float* q, const float* qd, const float* qdd,
              std::span<const float> dt, float* q_to, float* qd_to, Transformf* body_q,
              SpatialVectorf* body_qd) {
@@ -334,7 +337,7 @@ void motion_jvp(const Step& s, std::span<const Tensor> inputs, std::span<const T
   const float *const q_next = numbers(s.outputs[0].tensor), *const qd_next =
                                                                 numbers(s.outputs[1].tensor);
   move_on(s, q_next, qd_next, end.qdd.data(), back, q_to, qd_to, body_q, body_qd);
-  // The separate pushes of several groups: a motion with the rates `jump` for the time 1.
+  // If several groups hit at once, each has its own delay: a motion with the rates `jump` for 1 s.
   if (std::any_of(jump.begin(), jump.end(), [](float x) { return x != 0.0f; })) {
     const std::vector<float> none(dofs), once(trees, 1.0f);
     move_on(s, q_next, jump.data(), none.data(), once, q_to, nullptr, body_q, nullptr);

@@ -1,4 +1,4 @@
-// Declarations shared by the files of ArticulationStep: the arrays of a step for the tape, its
+// Declarations that the files of ArticulationStep share: the arrays of a step on the tape, its
 // forward step, its adjoint and its tangent.
 #pragma once
 
@@ -32,7 +32,8 @@ using nova::argument;
 using nova::Tensor;
 inline constexpr const char* kName = "articulation_step";
 struct MotionNotes;
-// Inputs after the arrays with a gradient (kAt). The inputs of shapes exist only with contacts.
+// Indices of the inputs after the arrays with a gradient (kAt). The inputs of shapes exist only
+// with contacts.
 enum MoreInputs : size_t {
   kJointFriction = kGradientArrays,
   kShapeInputs,
@@ -42,7 +43,8 @@ enum MoreInputs : size_t {
   kDamping,
   kInputs
 };
-// The arrays that a step reads without a gradient, in the order of ArticulationArguments.
+// Indices of the arrays that a step reads without a gradient, in the order of
+// ArticulationArguments.
 enum Values : size_t { kFrameP, kFrameC, kAxis, kTargetMode, kRows, kLinks, kDofParent, kValues };
 
 struct Named {
@@ -50,10 +52,10 @@ struct Named {
   Tensor tensor;
 };
 
-// The contacts that a step stores: one array after the other, kContactNumbers floats per contact,
-// with the impulses at the end. Indices are stored as the bits of floats. The count of contacts
-// follows. The impulses of dry friction come last, one per dof; on the CPU a FarIsland precedes
-// them.
+// The contacts that a step stores for its adjoint. The memory has one array after the other,
+// kContactNumbers floats per contact, with the impulses at the end. Indices are stored as the bits
+// of floats. The count of contacts follows. The impulses of dry friction come last, one per dof. On
+// the CPU a FarIsland precedes them.
 inline constexpr int64_t kContactNumbers = 16, kFarNumbers = sizeof(FarIsland) / sizeof(float);
 struct KeptContacts {
   static int64_t size(int64_t most, int64_t dofs) {
@@ -82,7 +84,7 @@ struct KeptContacts {
   float* friction;
 };
 
-// The arrays of contacts that a rollout finds anew each time its steps run.
+// The arrays of contacts that a rollout finds again each time its steps run.
 struct FoundRows {
   explicit FoundRows(const Contacts& c)
       : most(c.rigid_contact_max()),
@@ -105,8 +107,8 @@ struct FoundRows {
   DeviceArray<float> margin0, margin1;
 };
 
-// The drives and wrenches of a step with actuators and gravity compensation, in its memory
-// `scratch`. An active tape records them.
+// The drives and wrenches of a step with actuators and gravity compensation, in the memory
+// `scratch`. An active tape records their computation.
 struct ActuatedInputs {
   StepDrives drives;
   nova::Operand body_f;
@@ -115,7 +117,7 @@ ActuatedInputs submit_actuation(const std::shared_ptr<const Actuators>& actuator
                                 const SimState& in, const SimState& out, const Control* control,
                                 const nova::Operand& body_f, float dt, StepScratch scratch);
 
-// The results of a step: q, qd, body_q, body_qd, and for its adjoint qdd and branch.
+// The results of a step: q, qd, body_q, body_qd, and qdd and branch for its adjoint.
 using StepOutputs = std::array<Tensor, 6>;
 inline constexpr size_t kMostSteps = 8;  // steps per operation: a tape allows 32 outputs
 
@@ -144,7 +146,7 @@ struct ArticulationStep::Shared {
     const UntrackedScope untracked;
     workspace = DeviceArray<float>(all.size() * static_cast<size_t>(stride), device);
   }
-  // True on the CPU without a recording: the step then runs without launches.
+  // Returns whether the step runs at once without launches: on the CPU, and nothing records it.
   bool runs_on_host() const { return nova::host_can_read(device); }
   FeatherstoneOptions options;
   Device device;
@@ -154,13 +156,13 @@ struct ArticulationStep::Shared {
   ContactSteps contacts;
   std::vector<int32_t> all;  // all articulations
   std::shared_ptr<Actuators> actuators;
-  int64_t stride = 0, own_stride = 0;  // own_stride: of a step without contacts
+  int64_t stride = 0, own_stride = 0;  // own_stride: for a step without contacts
   DeviceArray<int32_t> status;
   DeviceArray<float> workspace;
   ContactBranches branches;  // on the CPU
   UnsupportedMaterials materials;
-  std::vector<float> between;   // gradients of states between the steps of one operation
-  DeviceArray<float> wrenches;  // gradients of body_f, if that of gravity is requested
+  std::vector<float> between;   // gradients of states between the joined steps of one operation
+  DeviceArray<float> wrenches;  // gradients by body_f, if that by gravity is requested
   DeviceArray<float> duals;     // dual numbers on devices
   std::string failure;          // the error of a replay
   bool dry = false;             // joints have dry friction, or its gradient is requested
@@ -181,19 +183,19 @@ struct ArticulationStep::Shared {
   const void* ended = nullptr;  // joint_q of the last step with contacts
 };
 
-// The arrays of a step, as handles and as inputs and outputs of the tape. `following` has the
-// further steps of the same operation.
+// The arrays of a step, as handles and as inputs and outputs of the tape. If an operation has
+// several steps, `following` has the outputs of its other steps.
 struct ArticulationStep::Step {
   std::shared_ptr<ArticulationStep::Shared> shared;
   std::shared_ptr<const Model> model;
   detail::Tensor contacts = {};                  // KeptContacts; undefined without contacts
   int64_t contact_max = 0;                       // the capacity of `contacts`
   std::optional<detail::FoundRows> found = {};   // copied each time the step runs
-  bool follow = false;                           // the contacts move with the state at the start of
+  bool follow = false;                           // contacts move with the state at the start of
                                                  // the step
   std::optional<DeviceArray<Vec3f>> force = {};  // the contact forces
-  // Names of the contact points, for the events between steps. Valid as long as the contacts belong
-  // to the step.
+  // Ids of the contact points, by which events are found between steps. Valid as long as the
+  // contacts belong to the step.
   std::optional<DeviceArray<int32_t>> point_id = {};
   bool continues = false;       // starts at the end of the last step with contacts
   bool by_restitution = false;  // the gradient of the restitution is requested
@@ -206,14 +208,14 @@ struct ArticulationStep::Step {
   int64_t count = 0, stride = 0;
   DeviceArray<int32_t> status;
   DeviceArray<float> workspace;
-  std::optional<ArticulationArguments> host = {};   // of the first step, if others follow
-  std::vector<detail::StepOutputs> following = {};  // each starts at the end of the one before
+  std::optional<ArticulationArguments> host = {};   // of the first step, if others follow it
+  std::vector<detail::StepOutputs> following = {};  // each step starts at the end of the one before
   int64_t number = 0;
   std::shared_ptr<bool> far = {};                    // Shared::far
   std::shared_ptr<detail::MotionNotes> motion = {};  // null: the derivative is that of the code
 
-  // Whether the forward step fills `contacts` each time, so that later writes to its memory do no
-  // harm.
+  // Returns whether the forward step fills `contacts` each time, so that later writes to the source
+  // arrays do no harm.
   bool copies_contacts() const { return found.has_value() || contact_max == 0; }
   const detail::Tensor& in(size_t member) const { return inputs[member].tensor; }
 };
@@ -230,29 +232,29 @@ Tensor tensor_of(const Array& array);
 inline float* numbers(const Tensor& tensor) {
   return tensor.defined() ? static_cast<float*>(tensor.range()->data()) : nullptr;
 }
-// Whether a capture records the step as work of the host.
+// Returns whether a capture records the step as work of the host.
 bool works_on_host(const Step& s);
-// Arguments of launches: the contacts that the step stores, and its impulses.
+// Return arguments of launches: the contacts that the step stores, and its impulses.
 ContactArguments kept_arguments(const Step& s);
 ContactRecord contact_record(const Step& s);
 inline KeptContacts kept_contacts(const Step& s) { return {numbers(s.contacts), s.contact_max}; }
 inline articulation::ContactRows contact_rows_of(const Step& s) {
   return kept_contacts(s).rows(s.follow);
 }
-// ErrorKind::Runtime: the step did not converge, and the options do not allow it. `what`: backward
-// or jvp.
+// Throws ErrorKind::Runtime if the step did not converge and the options do not allow this. `what`:
+// backward or jvp, for the message.
 void require_converged(const Step& s, const char* what);
-// Inside a capture on the host: replays of an unconverged step fail, and `results` become NaN.
+// Inside a capture on the host: makes replays of an unconverged step fail and set `results` to NaN.
 void watch_convergence(const std::shared_ptr<const Step>& step, std::span<const Tensor> results,
                        const char* what);
-// Whether a step has contacts or dry friction, as far as the host knows without waiting, or the
-// gradient of friction is requested.
+// Returns whether a step has contacts or dry friction, as far as the host knows without waiting, or
+// whether the gradient by friction is requested.
 bool acts(const Step& s, const Tensor& joint_friction);
 StepOutputs outputs_of(const Step& s);
-// The arrays that a replay of the step or of its adjoint reads, and that others may write.
+// Returns the arrays that a replay of the step or of its adjoint reads, and that others may write.
 std::vector<Tensor> reads_of(const Step& s);
 
-// The arguments of the first step of an operation. take(values, place) returns the argument of an
+// Returns the arguments of the first step of an operation. take(values, place): the argument of an
 // array.
 template <class T, class Take>
 ArticulationArgumentsOf<T> step_arguments_of(const Step& s, const Take& take) {
@@ -269,7 +271,7 @@ ArticulationArguments step_arguments_of(const Step& s);
 inline ArticulationArguments host_arguments(const Step& s) {
   return in_memory(step_arguments_of(s));
 }
-// Runs the step from the state `from` (null: that of the first step) into `to`.
+// Runs a step from the state `from` (null: the state of the first step) into `to`.
 void run_host(const Step& s, const ArticulationArguments& in, const StepOutputs* from,
               const StepOutputs& to);
 // Runs the step now, or in the replays of a capture. `tell`: also counts its branches and writes
@@ -281,7 +283,7 @@ void run_all(const std::shared_ptr<const Step>& step);
 void submit_vjp(const std::shared_ptr<const Step>& step, std::span<const Tensor> outputs,
                 std::span<const nova::InputGradient> gradients);
 // Runs the adjoints of several steps, from the last to the first. The gradients of the states
-// between the steps stay in Shared::between.
+// between the steps are in Shared::between.
 void run_vjp_of_steps(const Step& s, std::span<const Tensor> outputs,
                       std::span<const nova::InputGradient> gradients);
 // Computes the tangents of all steps of the operation now, or in the replays of a capture.

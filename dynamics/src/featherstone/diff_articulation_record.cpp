@@ -1,4 +1,4 @@
-// The entries of steps of articulations in an AdjointRecord.
+// Entries of an AdjointRecord for steps of articulations.
 #include "diff_articulation_motion.h"
 #include "novaphy/core/error.h"
 

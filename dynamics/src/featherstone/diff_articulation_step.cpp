@@ -38,8 +38,8 @@ nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
   };
   add_step(outputs_of(*step));
   for (const StepOutputs& out : step->following) add_step(out);
-  // The step also reads its contacts. No other operation has them, and other steps of a rollout
-  // store the same contacts there.
+  // The step also reads its contacts from this memory. No other operation writes it, and each run
+  // of the step stores the same contacts there.
   if (step->contacts.defined()) op.writes.push_back(step->contacts);
   op.writes.push_back(tensor_of(step->status));
   if (step->stride > 0) op.writes.push_back(tensor_of(step->workspace));
@@ -107,7 +107,8 @@ void set_contacts(Step& s, const Contacts& contacts, FoundContacts found) {
 
 }  // namespace
 
-// On the host a tape has its own counts. Replays and devices share the counts of all steps.
+// Reports the gradients of the steps on a tape. On the CPU each tape has its own counts. Replays
+// and devices share the counts of all steps.
 struct ArticulationStep::Shared::Witness : GradientWitness {
   std::shared_ptr<Shared> shared;
   GradientCounts counts;
@@ -127,7 +128,8 @@ struct ArticulationStep::Shared::Witness : GradientWitness {
 
 namespace {
 
-// Guard: during its lifetime, the counts of a step on a tape are also added to the tape's witness.
+// Scope guard: while it exists, the counts of a step are also added to the witness of the step's
+// tape.
 class CountsOfStep {
  public:
   explicit CountsOfStep(const std::shared_ptr<ArticulationStep::Shared>& shared)
@@ -172,12 +174,12 @@ class CountsOfStep {
   int64_t free_steps_ = 0;
 };
 
-// Call after a step has run. Stores its events, and makes the step known to the next one.
+// Stores the events of a step that has run, and remembers the step as the one before the next.
 void note(ArticulationStep::Shared& shared, const std::shared_ptr<const Step>& step) {
   std::shared_ptr<const Step> before = shared.last.lock();
   if (before && before->outputs[0].tensor.range()->data() != step->in(kAt.q).range()->data())
     before = nullptr;
-  if (before == nullptr) {  // a new chain: the list covers consecutive steps only
+  if (before == nullptr) {  // a new chain: the event list covers consecutive steps only
     ++shared.chain;
     shared.motion.events.clear();
   }
@@ -319,8 +321,8 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   pending_->host = step_arguments_of(*pending_);
 }
 
-// Adds the step to the operation that waits to be recorded, if possible, and runs it. Returns
-// whether it did.
+// Adds the step to the pending operation, which is not recorded yet, and runs it. Returns false,
+// and does nothing, if the step does not fit into that operation.
 bool ArticulationStep::joins(const Model& m, const SimState& in, SimState& out,
                              const Control* control, const nova::Operand& body_f, float dt,
                              StepScratch scratch) {

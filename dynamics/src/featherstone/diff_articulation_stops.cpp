@@ -1,5 +1,5 @@
-// Events of joint limits as rows (articulation/rate_bounds.h): a dof hits a limit in a step
-// (diff_articulation_motion.h).
+// Events of joint limits as constraint rows (articulation/rate_bounds.h): a dof hits a limit in a
+// step (diff_articulation_motion.h).
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -13,7 +13,7 @@ namespace art = articulation;
 
 namespace {
 
-constexpr float kLeastApproach = 1e-3f;  // slower dofs do not hit, m/s or rad/s
+constexpr float kLeastApproach = 1e-3f;  // m/s or rad/s: slower dofs do not hit
 
 struct Stop {
   int32_t tree = 0, dof = 0;
@@ -22,8 +22,8 @@ struct Stop {
   bool bounces = false, is_cut = false;
 };
 
-// Returns the limits that push in a step and that the dof approached. Limits that pushed in the
-// step before count only if the dof bounces.
+// Returns the limits that push in a step and that the dof approached. A limit that pushed in the
+// step before counts only if the dof bounces.
 std::vector<Stop> pushing_stops(const Step& s, const MotionNotes* last) {
   std::vector<Stop> found;
   const ArticulationArguments in = host_arguments(s);
@@ -53,7 +53,7 @@ std::vector<Stop> pushing_stops(const Step& s, const MotionNotes* last) {
   return found;
 }
 
-// Returns the event of a tree's island, and adds one if there is none.
+// Returns the event of a tree's island. If the island has no event, adds one.
 ContactEvent& event_of(const Step& s, int32_t tree, ContactEvents& found) {
   for (ContactEvent& event : found.events)
     if (std::ranges::find(event.trees, tree) != event.trees.end()) return event;
@@ -113,7 +113,8 @@ void find_stops(const Step& s, const MotionNotes* last, const Smooth& smooth) {
   std::vector<int32_t> dofs;
   for (const Stop& stop : stops) dofs.push_back(stop.dof);
   const std::vector<float> free = smooth(dofs);
-  // An approach no faster than the forces of one step cause is no hit: the dof rests at the limit.
+  // If the approach is no faster than the speed that forces cause in one step, the dof rests at the
+  // limit and does not hit it.
   std::erase_if(stops, [&](const Stop& stop) {
     return !(stop.before < -std::abs(free[static_cast<size_t>(stop.dof)]) * s.dt);
   });

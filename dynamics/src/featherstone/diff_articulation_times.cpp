@@ -1,4 +1,4 @@
-// When contacts and limits of joints begin, for those who ask (motion_events.h).
+// The list of events with their times (motion_events.h): begins of contacts and of joint limits.
 #include <algorithm>
 #include <cmath>
 
@@ -26,7 +26,8 @@ MotionEvent::Slope no_slope(const Step& s, int32_t tree) {
   return {.first = first, .by = std::vector<float>(static_cast<size_t>(count))};
 }
 
-// `side` as in LimitEvent, `approach` of its dof.
+// Returns the derivative of an event's time by a joint limit. `side`: as in LimitEvent. `approach`:
+// approach speed of the dof.
 MotionEvent::Slope limit_slope(const Step& s, int32_t dof, float side, float approach) {
   const Model& m = *s.model;
   return {.of = MotionArray::JointLimit,
@@ -42,7 +43,8 @@ int32_t joint_of(const Step& s, int32_t dof) {
                               first_dof - 1);
 }
 
-// A group of contacts that hits, by the coordinates of the trees of its event.
+// Adds a group of contacts that hit to the event list, with derivatives by the coordinates of the
+// event's trees.
 void tell_group(const Step& s, const ArticulationArguments& in, const ContactEvent& event,
                 ContactEvent::Group& group) {
   group.told = new_event(s, event.trees.front());

@@ -6,7 +6,7 @@
 namespace novaphy::diff::detail {
 namespace {
 
-// Never destroyed, because recordings refer to the kernels.
+// The object is never destroyed, because recordings refer to the kernels.
 struct Kernels {
   Kernel<ArticulationStepVjpArguments> vjp{kInChunks<articulation_step_vjp, kTreeRows>,
                                            novaphy::detail::articulation_kernels_source};
@@ -18,7 +18,7 @@ const Kernels& kernels() {
   return all;
 }
 
-// Returns memory for the gradients of body_f, from which the gradient of gravity is computed.
+// Returns memory for the gradient by body_f, from which the gradient by gravity is computed.
 DeviceArray<float>& wrench_memory(const Step& s) {
   const auto numbers_of = static_cast<size_t>(s.in(kAt.body_f).size());
   DeviceArray<float>& memory = s.shared->wrenches;
@@ -28,8 +28,8 @@ DeviceArray<float>& wrench_memory(const Step& s) {
   }
   return memory;
 }
-// Calls `adjoint` with the arguments, and computes the gradient of gravity. `add`: adds to that
-// gradient.
+// Calls `adjoint` with the arguments, and computes the gradient by gravity. `gravity.add`: adds to
+// that gradient.
 template <class Adjoint>
 void with_gravity(const Step& s, ArticulationStepVjpArguments a, const nova::InputGradient& gravity,
                   bool add, const Tensor& body_f, const Adjoint& adjoint) {
@@ -56,8 +56,8 @@ void with_gravity(const Step& s, ArticulationStepVjpArguments a, const nova::Inp
     run(kernels().gravity, 1, of_gravity);
 }
 
-// Returns the arguments of the adjoint of the first step, from the gradients of its outputs. The
-// gradient of gravity is left to with_gravity.
+// Returns the arguments of the adjoint of the first step, from the gradients by its outputs.
+// with_gravity computes the gradient by gravity.
 ArticulationStepVjpArguments vjp_arguments(const Step& s, const ArticulationArguments& in,
                                            const Tensor* outputs,
                                            std::span<const nova::InputGradient> gradients) {

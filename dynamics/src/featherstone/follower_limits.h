@@ -1,4 +1,4 @@
-// The check for limits of mimic joints, which JointLimits::Row does not support.
+// The check for mimic joints with limits, which JointLimits::Row does not support.
 #pragma once
 
 #include <array>
@@ -11,8 +11,8 @@ namespace novaphy {
 
 class FollowerLimits {
  public:
-  // ErrorKind::NotImplemented, naming `user`: a mimic joint has a limit and the options have
-  // JointLimits::Row. Arrays are checked again after a write.
+  // Throws ErrorKind::NotImplemented, with `user`, if a mimic joint has a limit and the options
+  // have JointLimits::Row. Arrays are checked again after a write.
   void check(const Model& model, const FeatherstoneOptions& options, const char* user);
 
  private:

@@ -1,4 +1,5 @@
-// Compiled once for each instruction set (dynamics/CMakeLists.txt).
+// The step of several trees at once, one per SIMD lane. Compiled once for each instruction set
+// (dynamics/CMakeLists.txt).
 #include "lane_step.h"
 
 #include "lanes.h"
@@ -20,7 +21,7 @@ NOVAPHY_LANE_FN void transpose(Row (&r)[4]) {
   r[3] = __builtin_shufflevector(c, d, 2, 3, 6, 7);
 }
 
-// Reads `n` numbers for each lane, starting at row first[lane]. Rows have `width` numbers.
+// Reads `n` rows of `width` numbers for each lane, from the row first[lane] on.
 void gather(const float* from, const int32_t* first, int32_t width, int32_t n, Lanes* to) {
   float* const out = reinterpret_cast<float*>(to);
   if (n < 4) {
@@ -65,7 +66,7 @@ void scatter(const Lanes* from, const int32_t* first, int32_t width, int32_t n, 
   }
 }
 
-// Adds numbers of each lane to the rows, starting at row first[lane].
+// Adds numbers of each of the `used` lanes to the rows, from the row first[lane] on.
 void scatter_sum(const Lanes* from, const int32_t* first, int32_t width, int32_t n, int32_t used,
                  float* to) {
   const float* const in = reinterpret_cast<const float*>(from);
@@ -91,7 +92,7 @@ void scatter_sum(const Lanes* from, const int32_t* first, int32_t width, int32_t
       to[static_cast<int64_t>(first[l]) * width + i] += in[i * LANES + l];
 }
 
-// Returns the size of the memory besides the workspace and the contacts, in numbers.
+// Returns the size in numbers of the memory besides the workspace and the contacts.
 int64_t state_numbers(const TreeShape& s) {
   int64_t numbers = s.coords + s.dofs + (7 + 6) * s.bodies;  // the next state
   for (int32_t k = 0; k < s.changing_count; ++k) {
@@ -127,12 +128,12 @@ void gather_links(const LaneStepArguments& a, const Workspace<Lanes>& ws,
     }
 }
 
-// Returns the first row of each lane {lanes}, for arrays that trees do not share.
+// Returns the first row of each lane {lanes} in arrays that trees do not share.
 const int32_t* first_rows(const LaneStepArguments& a, RowOf what) {
   return what == RowOf::Coord ? a.coord : what == RowOf::Dof ? a.dof : a.body;
 }
 
-// Reads the arrays of a step into memory that begins at `next`.
+// Reads the arrays of a step into memory from `next` on, and advances `next`.
 StepInputs<Lanes> gather_inputs(const LaneStepArguments& a, Lanes*& next) {
   const TreeShape& s = a.shape;
   const Lanes* arrays[kStepArrays];

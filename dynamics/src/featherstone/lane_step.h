@@ -1,5 +1,6 @@
-// A step of several identical trees at once, one per lane. The algorithms are articulation/step.h
-// and tree_contacts.h with lanes as the scalar type (lanes.h), compiled for one instruction set.
+// A step of several identical trees at once, one tree per SIMD lane. The algorithms are
+// articulation/step.h and tree_contacts.h with lanes as the scalar type (lanes.h), compiled for one
+// instruction set.
 #pragma once
 
 #include <cstdint>
@@ -13,8 +14,8 @@ struct TreeShape {
   const Link* link_rows = nullptr;  // row indices are relative to the tree's first row
   const int32_t* dof_parent = nullptr;
   const int32_t* target_mode = nullptr;
-  // Constant arrays of the model are stored one after the other: `constant` has the offset of each,
-  // and `constants` the total. `changing` lists the places of the other arrays.
+  // Constant arrays of the model are stored one after the other. `constant` has the offset of each
+  // array, and `constants` the total size. `changing` lists the indices of the other arrays.
   int32_t constant[kStepArrays] = {};
   int32_t constants = 0;
   int32_t changing[kStepArrays] = {}, changing_count = 0;
@@ -35,19 +36,19 @@ struct TreeShape {
   }
 };
 
-// Array rows are those of the model and the states.
+// Arguments of a step. Rows are those of the arrays of the model and the states.
 struct LaneStepArguments {
   TreeShape shape = {};
   const float* constants = nullptr;  // {numbers, lanes}
-  int32_t used = 0;                  // lanes in use; the others repeat one of them
+  int32_t used = 0;                  // lanes in use; other lanes repeat one of these
   const int32_t *coord = nullptr, *dof = nullptr, *body = nullptr;  // {lanes}: first rows
-  // only arrays in `changing` are read
+  // Only the arrays in `changing` are read.
   const float* in[kStepArrays] = {};
   float *q_next = nullptr, *qd_next = nullptr, *body_q = nullptr, *body_qd = nullptr;
   float *qdd = nullptr, *branch = nullptr;  // null: not requested
   StepOptions<float> options = {};
-  // Contacts. contact_count: the largest count of a lane. contacts: TreeContact of lanes.
-  // contact_links {contacts, lanes}.
+  // Contacts. contact_count: the largest number of contacts of a lane. contacts: a TreeContact of
+  // lanes per contact. contact_links {contacts, lanes}: link indices.
   int32_t contact_count = 0;
   const void* contacts = nullptr;
   const int32_t* contact_links = nullptr;
@@ -64,7 +65,7 @@ struct LaneStepArguments {
 struct LaneVjpArguments {
   LaneStepArguments step = {};  // the inputs of the step, and the memory
   const float *qdd = nullptr, *branch = nullptr, *q_next = nullptr, *qd_next = nullptr;
-  // Gradients of the outputs; null: zero.
+  // Gradients by the outputs. Null: zero.
   const float *out_q = nullptr, *out_qd = nullptr, *out_body_q = nullptr, *out_body_qd = nullptr;
   float* gradient[kGradientArrays] = {};  // null: not requested
   int32_t add = 0;                        // flags of StepGradient
@@ -80,7 +81,8 @@ struct LaneLevel {
   int64_t (*vjp_memory)(const TreeShape&);
   void (*vjp)(const LaneVjpArguments&);
 };
-// Returns the best level for this processor, or the one that NOVAPHY_CPU_ISA names.
+// Returns the best instruction set level for this processor, or the level that NOVAPHY_CPU_ISA
+// names.
 const LaneLevel& lane_level();
 
 }  // namespace novaphy::articulation

@@ -1,4 +1,4 @@
-// Lanes (math/lanes.h) as the scalar type of the algorithms of articulations
+// SIMD lanes (math/lanes.h) as the scalar type of the algorithms of articulations
 // (articulation/scalar.h).
 #pragma once
 
@@ -53,7 +53,7 @@ NOVAPHY_LANE_FN Ints to_int(Lanes a) {
 }
 
 NOVAPHY_LANE_FN Lanes square_root(Lanes a) { return sqrt(a); }
-// Whether all lanes are finite.
+// Returns whether all lanes are finite.
 NOVAPHY_LANE_FN bool is_finite(Lanes a) { return all(a - a == Lanes(0.0f)); }
 NOVAPHY_LANE_FN SinCos<Lanes> sin_cos(Lanes a) {
   const auto v = math::functions_detail::sin_cos(a);

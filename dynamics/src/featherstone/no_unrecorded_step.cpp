@@ -1,4 +1,4 @@
-// Compiled into builds without the tensor runtime.
+// Compiled only into builds without the tensor runtime, which have no tapes.
 #include "unrecorded_step.h"
 
 namespace novaphy {

@@ -25,7 +25,7 @@ namespace {
 
 constexpr const char* kName = "SolverFeatherstone.step";
 
-// The rows of a state before a step, to restore them if an articulation fails.
+// Copies of a state's rows before a step, to restore them if an articulation fails.
 class EarlierState {
  public:
   void keep(const SimState& state) {
@@ -64,7 +64,7 @@ struct SolverFeatherstone::Cache {
         actuated(m),
         contacts(m, articulations),
         materials(unsupported_materials(contact, kName)) {
-    watch.leave_out_friction();  // its friction law is huber
+    watch.leave_out_friction();  // its friction law is huber, whose slope at zero slip is below kf
     const Device device = m.device();
     const auto dofs = static_cast<size_t>(m.joint_dof_count());
     const auto count = static_cast<size_t>(articulations.count());
@@ -103,15 +103,15 @@ struct SolverFeatherstone::Cache {
   bool keeps_earlier = false;  // whether the current step uses `earlier`
   ContactSteps contacts;
   RigidBodies penalty;
-  // Bodies that form an articulation alone, on a FREE joint. In a longer tree the effective mass at
-  // a contact exceeds the body's own.
+  // Bodies that form an articulation alone, on a FREE joint. `watch` checks only these bodies: in a
+  // longer tree the effective mass at a contact exceeds the body's mass.
   std::vector<uint8_t> free_bodies;
   const SleepingTrees* begin_sleep(const Model& m, const SimState& in, const Contacts* of,
                                    const Control* control, const ArticulationStepArguments& step) {
     if (!sleep) return nullptr;
     return sleep->begin(m, in, of, control, in_memory(step).in, step.in.dt);
   }
-  bool warned = false;  // the warning about the residual was given
+  bool warned = false;  // whether the warning about the residual was given
   void warn_of_residual(const Model& m, const Contacts* of, float tolerance) {
     if (warned) return;
     const FarIsland far = contacts.far_island(tolerance);
@@ -166,7 +166,7 @@ void SolverFeatherstone::make_cache() {
 
 void SolverFeatherstone::notify_model_changed(ModelFlags) {
   const ExclusiveUse::Scope scope = use("SolverFeatherstone.notify_model_changed");
-  cache_->contacts.forget_impulses();  // captures keep the old cache
+  cache_->contacts.forget_impulses();  // captures still use the old cache
   make_cache();
 }
 
@@ -176,14 +176,14 @@ float SolverFeatherstone::pgs_residual() const { return cache_->contacts.residua
 void SolverFeatherstone::check_last_step() const {
   const ExclusiveUse::Scope scope = use("SolverFeatherstone.check_last_step");
   const Cache& c = *cache_;
-  if (c.trees) return;  // step has already reported its errors
+  if (c.trees) return;  // on the CPU, step has already reported its errors
   const std::vector<int32_t> status = c.status.to_host();
   check_contact_status(status, kName);
   check_status(*model(), c.articulations, status, kName);
 }
 
-// Adds the wrenches of penalty contacts to body_f, with the bodies at the poses of joint_q and
-// joint_qd.
+// Adds the wrenches of penalty contacts to body_f, with the bodies at the poses and velocities of
+// joint_q and joint_qd.
 void SolverFeatherstone::add_penalties(const Contacts& contacts, ArticulationStepArguments& a) {
   const Model& m = *model();
   Cache& c = *cache_;
@@ -247,7 +247,7 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
   const Contacts* const touching = penalty ? nullptr : contacts;
   const auto* const sleeping = c.begin_sleep(m, state_in, touching, control, a);
   const bool has_rows = c.contacts.has_rows(touching);
-  // A single tree that fails writes nothing.
+  // With a single tree no copy is needed: a tree that fails writes nothing.
   c.keeps_earlier = c.trees && (has_rows || c.all.size() > 1);
   if (c.keeps_earlier) c.earlier.keep(state_out);
   if (has_rows)
@@ -262,7 +262,7 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
   mark_unrecorded_step(m, state_in, state_out, control);
 }
 
-// Finishes a step that ran at once: a failed articulation keeps its rows of the new state.
+// Finishes a step that ran at once. A failed articulation gets its earlier rows of the state back.
 void SolverFeatherstone::finish(const Contacts* contacts, const Control* control,
                                 const SimState& from, SimState& to, float dt) {
   Cache& c = *cache_;

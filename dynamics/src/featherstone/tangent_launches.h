@@ -1,4 +1,4 @@
-// The kernels of tangents of steps of articulations, on devices.
+// The kernels that tangents of steps of articulations launch on devices.
 #pragma once
 
 #include "articulation_contact_jvp_kernels.h"
@@ -21,7 +21,7 @@ struct TangentKernels {
       detail::articulation_contact_jvp_kernels_source};
   Kernel<DualTangentArguments> tangent{dual_tangent, detail::articulation_jvp_kernels_source};
 };
-// Never destroyed, because recordings refer to the kernels.
+// The object is never destroyed, because recordings refer to the kernels.
 inline const TangentKernels& tangent_kernels() {
   static const auto& all = *new TangentKernels;
   return all;

@@ -41,9 +41,9 @@ namespace {
 
 namespace art = articulation;
 constexpr int64_t kBatchChunk = 2;
-constexpr size_t kFewest = 3;  // the fewest trees for which lanes are faster
+constexpr size_t kFewest = 3;  // smallest number of trees for which SIMD lanes are faster
 
-// Results of actuators replace these arrays of the model, so the arrays are not constant.
+// Returns the arrays of a step. Where actuators write the arrays of drives, these are not constant.
 NamedStepArrays arrays_of_lanes(const Model& m) {
   NamedStepArrays arrays = step_arrays(m, nullptr, nullptr);
   for (const int32_t place : {kAt.target_ke, kAt.target_kd, kAt.effort_limit})
@@ -51,7 +51,7 @@ NamedStepArrays arrays_of_lanes(const Model& m) {
   return arrays;
 }
 
-// Constant arrays are stored one after the other.
+// Lists the constant arrays, which are stored one after the other.
 void list_constants(const NamedStepArrays& arrays, art::TreeShape& shape) {
   for (int32_t c = 0; c < static_cast<int32_t>(kStepArrays); ++c) {
     if (!arrays[static_cast<size_t>(c)].is_constant) {
@@ -146,7 +146,7 @@ void TreeSteps::find_groups(const Model& m) {
   }
 }
 
-// Reads the constants of a tree, with a spacing of `stride`.
+// Reads the constants of a tree into `to`, with `stride` numbers from one to the next.
 void TreeSteps::constants_of(const Model& m, int32_t tree, float* to, int32_t stride) const {
   const FirstRows& first = first_[static_cast<size_t>(tree)];
   const ArticulationRows& rows = trees_[tree];
@@ -167,7 +167,7 @@ void TreeSteps::constants_of(const Model& m, int32_t tree, float* to, int32_t st
   }
 }
 
-// Reads the constants again if arrays were written.
+// Reads the constants again if an array was written.
 void TreeSteps::renew(const Model& m) {
   bool same = mode_stamp_.matches(m.joint_target_mode);
   if (!same) find_groups(m);
@@ -206,8 +206,8 @@ void TreeSteps::renew(const Model& m) {
   mode_stamp_.set(m.joint_target_mode);
 }
 
-// Trees with equal constants are sorted by their number of contacts, so that the lanes of a batch
-// have similar counts.
+// Makes batches. Trees with equal constants are sorted by their number of contacts, so that the
+// lanes of a batch have similar numbers.
 void TreeSteps::make_packs(std::span<const int32_t> trees, const TreeContacts* contacts) {
   batches_.clear();
   counts_.resize(first_.size());
@@ -353,7 +353,7 @@ struct TreeSteps::FirstOfLanes {
   int32_t coord[kMostLanes], dof[kMostLanes], body[kMostLanes];
 };
 
-// Sets the inputs of the lanes of a batch. `constants`: memory for a batch without own constants.
+// Sets the inputs of a batch's lanes. `constants`: memory for a batch with different constants.
 void TreeSteps::set_lanes(art::LaneStepArguments& s, const ArticulationArguments& in,
                           const Model& m, const Batch& batch, FirstOfLanes& first,
                           float* constants) const {

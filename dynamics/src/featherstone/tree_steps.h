@@ -1,6 +1,6 @@
-// Steps of the articulations that touch only the world. Identical trees (as replicate makes them)
-// step several at once, one per lane (lane_step.h). The result of a tree has the same bits with and
-// without lanes, and for any number of threads.
+// TreeSteps: steps of the articulations that touch only the world, on the CPU. Identical trees (as
+// `replicate` makes them) step several at once, one tree per SIMD lane (lane_step.h). The result of
+// a tree has the same bits with and without lanes, and for any number of threads.
 #pragma once
 
 #include <cstdint>
@@ -18,14 +18,14 @@
 namespace novaphy {
 
 using articulation::kMostTreeContacts;  // contacts of a tree that TreeSteps takes
-// The contacts of trees with the world, for TreeSteps.
+// The contacts of trees with the world, as TreeSteps reads them.
 class TreeContacts {
  public:
   virtual int32_t count(int64_t tree) const = 0;
-  // Writes contact i of a tree as the numbers of TreeContact, with a spacing of `stride`. Returns
-  // its link.
+  // Writes contact i of a tree as the numbers of a TreeContact, with a spacing of `stride`. Returns
+  // the contact's link.
   virtual int32_t fill(int64_t tree, int32_t i, float* numbers, int32_t stride) = 0;
-  // Takes the impulses of contact i along n, t1, t2, with a spacing of `stride`.
+  // Receives the impulses of contact i along n, t1, t2, with a spacing of `stride`.
   virtual void take(int64_t tree, int32_t i, const float* impulses, int32_t stride) = 0;
   virtual void solved(int64_t tree, const articulation::IslandResult& result) = 0;
 
@@ -37,15 +37,17 @@ class TreeSteps {
  public:
   TreeSteps(const Model& model, const Articulations& articulations);
 
-  // Steps the given trees, in ascending order; `status` gets a row for each. A tree that fails
-  // keeps its rows of the new state. `contacts` null: none. `keep`: also writes qdd and branch.
+  // Steps the given trees, which are in ascending order. `status` gets a row for each. A tree that
+  // fails keeps its rows of the new state. `contacts` null: no contacts. `keep`: also writes qdd
+  // and branch.
   void step(const ArticulationStepArguments& step, const Model& model,
             std::span<const int32_t> trees, const FeatherstoneOptions& options,
             TreeContacts* contacts, bool keep = false);
-  // SIMD lanes read the constants of the model. A step with other constants runs one tree at a
-  // time: use_lanes(false).
+  // Switches SIMD lanes on or off. Lanes read the constants of the model, so a step with other
+  // constants needs use_lanes(false).
   void use_lanes(bool use) { uses_lanes_ = use; }
-  // The adjoint of a step without contacts: for the given trees, the same as articulation_step_vjp.
+  // Runs the adjoint of a step without contacts for the given trees, with the result of
+  // articulation_step_vjp.
   void vjp(const ArticulationStepVjpArguments& step, const Model& model,
            std::span<const int32_t> trees);
 
@@ -59,14 +61,14 @@ class TreeSteps {
     std::vector<int32_t> target_mode = {};
     bool same = false;                 // all trees have the same constants
     std::vector<Line> lines = {};      // constants: {batches or 1, numbers, lanes}
-    std::vector<int32_t> packed = {};  // the trees of the batches, if constants differ
+    std::vector<int32_t> packed = {};  // trees of the batches, if constants differ
   };
   struct FirstRows {
-    int32_t coord = 0, body = 0, joint = 0, group = -1;  // group -1: no lanes
+    int32_t coord = 0, body = 0, joint = 0, group = -1;  // first rows of a tree; group -1: no lanes
   };
   struct Batch {
     int32_t group = 0, begin = 0, count = 0;  // begin, count: a range of sorted_
-    int32_t contacts = 0;                     // the largest count of a tree
+    int32_t contacts = 0;                     // largest number of contacts of a tree
   };
   struct Memory;
 

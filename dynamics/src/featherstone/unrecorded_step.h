@@ -1,4 +1,4 @@
-// Marks a step of the forward solver on a tape.
+// Marks a step of the forward solver that runs inside an active tape and is not recorded.
 #pragma once
 
 #include "novaphy/core/sim/control.h"
@@ -7,8 +7,8 @@
 
 namespace novaphy {
 
-// Inside an active tape, if an input of the step carries a gradient: operations that later read its
-// outputs throw an error. Builds without the tensor runtime have no tapes.
+// If an input of the step carries a gradient of the active tape: makes operations that later read
+// the step's outputs throw an error. Builds without the tensor runtime have no tapes.
 void mark_unrecorded_step(const Model& model, const SimState& in, const SimState& out,
                           const Control* control);
 

@@ -62,14 +62,14 @@ Six motion(const Vec3f& u, const Vec3f& arm) {
   return {u.x, u.y, u.z, turn.x, turn.y, turn.z};
 }
 
-// Returns M^-1 y for a body with orientation q.
+// Returns the acceleration M^-1 y of a body with the orientation q, by a wrench y.
 Six accelerate(const Six& y, float inv_mass, const Mat33f& inv_inertia, const Quatf& q) {
   const Vec3f t = math::rotate(
       q, math::multiply(inv_inertia, math::rotate_inverse(q, Vec3f{y[3], y[4], y[5]})));
   return {y[0] * inv_mass, y[1] * inv_mass, y[2] * inv_mass, t.x, t.y, t.z};
 }
 
-// Returns the largest eigenvalue of M^-1 A by power iteration from x, which becomes its vector.
+// Returns the largest eigenvalue of M^-1 A by power iteration. x: initial vector, then eigenvector.
 template <class Accelerate>
 float largest(const Matrix& a, Accelerate accelerate, Six& x) {
   float w = 0.0f;
@@ -103,13 +103,13 @@ bool grows(const Matrix& springs, const Matrix& dampers, float dt, Accelerate ac
   return trace > 4.0f && largest(sum, accelerate, x) > 4.0f;
 }
 
-// Returns the dt with springs dt^2 + dampers dt = 4.
+// Returns the dt that solves springs dt^2 + dampers dt = 4.
 float longest_dt(float springs, float dampers) {
   return 8.0f / (dampers + std::sqrt(dampers * dampers + 16.0f * springs));
 }
 
-// Returns the dt at which the largest eigenvalue of M^-1 (dt^2 springs + dt dampers) is 4. Rayleigh
-// quotients of any vector give an upper bound, and quotients of the eigenvector the next iterate.
+// Returns the dt at which the largest eigenvalue of M^-1 (dt^2 springs + dt dampers) is 4. The
+// Rayleigh quotient of a vector gives an upper bound, that of the eigenvector the next iterate.
 template <class Accelerate>
 float longest_dt(const Terms& terms, Accelerate accelerate) {
   Six x = kStart, y = x;
@@ -125,7 +125,7 @@ float longest_dt(const Terms& terms, Accelerate accelerate) {
       for (size_t j = 0; j < 6; ++j)
         sum.m[i][j] = (dt * terms.springs.m[i][j] + terms.dampers.m[i][j]) * dt;
     const float w = largest(sum, accelerate, x), before = dt;
-    // x is M^-1 y for some y, so x^T M x is x^T y; w x^T M x = x^T A x.
+    // x is M^-1 y for some y, so x^T M x is x^T y. For the eigenvalue w, w x^T M x = x^T A x.
     const float of_sum = dot(x, sum.times(x)) / w;
     dt = longest_dt(dot(x, terms.springs.times(x)) / of_sum,
                     dot(x, terms.dampers.times(x)) / of_sum);
@@ -178,7 +178,7 @@ struct detail::TouchingRows {
   Transformf pose(int32_t b) const {
     return b < 0 ? Transformf::identity() : q[static_cast<size_t>(b)];
   }
-  // A contact row: its shapes, their bodies, points on both surfaces (world), and its depth (m).
+  // A contact row: its shapes, their bodies, points on both surfaces (world), and its overlap (m).
   struct Row {
     size_t shapes[2];
     int32_t bodies[2];
@@ -227,7 +227,7 @@ namespace {
 
 using detail::TouchingRows;
 
-// Adds the stiffness and damping of one side of row k, for a body that moves.
+// Adds the stiffness and damping of one side of contact row k, for a body that moves.
 void add_side(const TouchingRows& rows, size_t k, const TouchingRows::Row& r, size_t side,
               Stability stability, float stick_ke, Terms& m) {
   const bool enough = stability == Stability::Enough;
@@ -368,7 +368,7 @@ void ContactWatch::find_changed(const TouchingRows& rows, const Model& model, fl
 }
 
 void ContactWatch::check_depths(const TouchingRows& rows, const Model& model) {
-  constexpr float kDeep = 0.25f;  // times the radius of gyration
+  constexpr float kDeep = 0.25f;  // fraction of the radius of gyration
   std::vector<Load>& loads = loads_;
   loads.assign(rows.q.size(), {});
   const OnHost<Vec3f> gravity(model.gravity);
@@ -397,7 +397,7 @@ void ContactWatch::check_depths(const TouchingRows& rows, const Model& model) {
     const Mat33f& i = inertia[b];
     const float radius = std::sqrt((i.m[0][0] + i.m[1][1] + i.m[2][2]) / (3.0f * mass[b]));
     const float weight = mass[b] * math::length(gravity_of(b));
-    // If the springs carry about the weight of the body, the body rests on them.
+    // If the springs carry about the weight of the body, the body rests on the contacts.
     if (!(loads[b].depth > kDeep * radius) || loads[b].lift < 0.5f * weight ||
         loads[b].lift > 1.05f * weight)
       continue;

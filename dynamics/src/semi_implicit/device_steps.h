@@ -8,9 +8,9 @@
 
 namespace novaphy::detail {
 
-// Returns null for a model on the CPU. The options must be checked and complete.
-// ErrorKind::NotImplemented: this library was built without the kernels (NOVAPHY_WITH_NOVA=OFF), or
-// the kernels do not support the options.
+// Returns a solver for a model on another device than the CPU; null for a model on the CPU. The
+// options must be checked and complete. ErrorKind::NotImplemented: the library was built without
+// the kernels (NOVAPHY_WITH_NOVA=OFF), or the kernels do not support the options.
 std::unique_ptr<SolverBase> make_device_steps(const std::shared_ptr<const Model>& model,
                                               const SemiImplicitOptions& options);
 

@@ -23,7 +23,7 @@ void add_shapes(const Model& m, std::vector<Operand>& in) {
     in.push_back(nova::operand_of(*of_shapes));
 }
 
-// Computes the force on body B.
+// Returns the kernel that computes the force on body B.
 const nova::Kernel& force_kernel() {
   static const nova::Kernel kernel =
       nova::make_kernel("rigid_contact_forces", {{"wrench", DType::F32, 12, Access::Direct}},
@@ -44,8 +44,8 @@ Vec3<Real> with_derivative_of(const Vec3<Real>& value, const Vec3<Real>& live) {
 struct SoftPoint {
   Vec3<Real> point, normal;
 };
-// Returns the stored point and normal with derivatives by the particle position x and the body's
-// pose.
+// Returns the stored point and normal, with derivatives by the particle position x and by the
+// body's pose.
 SoftPoint following_point(TraceContext& c, const Int& shape, const ContactBody& body,
                           const Vec3<Real>& x, const SoftPoint& stored) {
   using namespace math;
@@ -60,7 +60,8 @@ SoftPoint following_point(TraceContext& c, const Int& shape, const ContactBody& 
       StaticShapeType<Bool>{is(GeoType::BOX), is(GeoType::SPHERE), is(GeoType::CAPSULE),
                             is(GeoType::CYLINDER), is(GeoType::CONE), is(GeoType::ELLIPSOID)},
       constant(Columns(c, "shape_scale", &shape).vec3()), in_shape);
-  // Hulls and meshes act as the half space through the point, which turns with the body.
+  // Hulls and meshes are treated as the half space at the point, whose normal rotates with the
+  // body.
   const Quat<Real>& q = body.pose.q;
   const Vec3<Real> face = constant(rotate_inverse(q, stored.normal));
   const Bool polytope = either(is(GeoType::CONVEX_MESH), is(GeoType::MESH));
@@ -71,7 +72,8 @@ SoftPoint following_point(TraceContext& c, const Int& shape, const ContactBody& 
   return {with_derivative_of(stored.point, point), with_derivative_of(stored.normal, normal)};
 }
 
-// `follow`: points and normals move with the particles and the bodies.
+// Computes the force and the wrench of a particle contact. `follow`: points and normals move with
+// the particles and the bodies.
 std::vector<Real> soft_forces(TraceContext& c, bool follow) {
   const Int particle = c.i32(c.source("particle")), shape = c.i32(c.source("shape")),
             row = c.i32(c.source("body"));
@@ -142,8 +144,8 @@ const nova::Kernel& sum_kernel() {
   return kernel;
 }
 
-// Sorts the table, into the arrays of the last call if the table has the same memory. Sorting is
-// always a rebuild, which a group of recomputed operations runs again.
+// Sorts the table. The sorted arrays of the last call are reused if the table has the same memory.
+// Sorting is always recorded as a rebuild, which a group of recomputed operations runs again.
 void sort(const Array& table, int64_t rows, nova::Incidence& sorted) {
   const Operand operand = nova::operand_of(table);
   if (!sorted || sorted->rows != rows || sorted->table.range != operand.range)

@@ -8,14 +8,14 @@ using nova::Operand;
 
 namespace {
 
-// Gives `rows_of_six` that many rows of six floats, and keeps its memory if the size fits.
+// Makes `rows_of_six` have `rows` rows of six floats. Keeps the memory if the size is the same.
 void fit(Operand& rows_of_six, int64_t rows, Device device) {
   if (rows_of_six.rows == rows) return;
   rows_of_six = {Storage::allocate(static_cast<size_t>(rows) * 6 * sizeof(float), device)->range(),
                  rows, 6};
 }
 
-// Returns the same bytes with the wrenches of both sides of a contact in one row.
+// Returns a view of the same memory with the wrenches of both sides of a contact in one row.
 Operand both_sides(Operand wrenches) {
   wrenches.rows /= 2;
   wrenches.width *= 2;
@@ -71,7 +71,7 @@ void BodyStep::run(const Model& model, const SimState& in, SimState& out, const 
 void BodyStep::look(const Model& model, const SimState& in, const Contacts* contacts,
                     const ContactTables& tables, float dt) {
   if (options_.static_contacts) return watch_.look_at_pairs(model, dt);
-  // The check reads values on the host, which ends the deferral of steps of many particles.
+  // The check reads values on the host. This ends the deferral of steps of many particles.
   const bool is_dear = !is_on_host(model) || model.particle_count() > 0;
   if (tables.sides_of_bodies() == nullptr || !watch_.is_due(is_dear)) return;
   nova::flush_deferred();

@@ -17,7 +17,7 @@ using nova::Int;
 using nova::Real;
 using nova::TraceContext;
 
-// A body in a contact. Row -1 is the world, at rest in its own frame.
+// A body in a contact. Row -1 is the world: zero velocity, identity pose.
 struct ContactBody {
   Transform<Real> pose;
   SpatialVector<Real> twist;
@@ -37,7 +37,7 @@ inline std::vector<nova::SourceSpec> body_sources() {
           {"body_qd", DType::F32, 6, Access::Indexed},
           {"body_com", DType::F32, 3, Access::Indexed}};
 }
-// The sources of shapes, for contacts whose points follow the bodies.
+// Returns the sources of shapes, for contacts whose points move with the bodies.
 inline std::vector<nova::SourceSpec> shape_sources() {
   return {{"shape_type", DType::I32, 1, Access::Indexed},
           {"shape_transform", DType::F32, 7, Access::Indexed},

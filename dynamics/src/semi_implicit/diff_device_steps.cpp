@@ -12,7 +12,8 @@
 namespace novaphy {
 namespace {
 
-// SolverSemiImplicit checks the other arguments, and rejects tapes and captures.
+// Steps of SolverSemiImplicit on devices other than the CPU. SolverSemiImplicit checks the
+// arguments, and rejects tapes and captures.
 class DeviceSteps final : public diff::DiffSolverBase {
  public:
   DeviceSteps(const std::shared_ptr<const Model>& model, const SemiImplicitOptions& options)
@@ -84,7 +85,7 @@ class DeviceSteps final : public diff::DiffSolverBase {
     return {.particles = moves_particles(),
             .particles_on_bodies = particles_.meets_bodies(),
             .bodies = moves_bodies(),
-            .of_this_state = false};  // only a gradient uses contacts that follow the bodies
+            .of_this_state = false};  // only a gradient needs moving points
   }
   void begin(const char* function, const Control* control, const Contacts* contacts, float dt) {
     particles_.begin(*model(), function);
@@ -111,7 +112,7 @@ class DeviceSteps final : public diff::DiffSolverBase {
   diff::ParticleStep particles_;
   diff::BodyStep bodies_;
   std::optional<diff::DiffJoints> joints_;
-  diff::ContactTables tables_;         // of the contacts of all steps
+  diff::ContactTables tables_;         // tables of the contacts of all steps
   DeviceArray<SpatialVectorf> total_;  // total wrench on each body, for single steps
 };
 

@@ -19,7 +19,8 @@ using nova::TraceContext;
 
 namespace {
 
-// Sums particle_f and the forces of the elements on each particle, in the order of the elements.
+// Returns the kernel that sums particle_f and the forces of the elements on each particle, in the
+// order of the elements.
 const nova::Kernel& sum_kernel() {
   static const nova::Kernel kernel = [] {
     const nova::Kernel made =
@@ -41,7 +42,7 @@ const nova::Kernel& sum_kernel() {
   return kernel;
 }
 
-// Returns the same bytes with one row per corner.
+// Returns a view of the same memory with one row per corner.
 Operand per_corner(Operand contributions, int32_t corners) {
   contributions.rows *= corners;
   contributions.width = 3;
@@ -53,8 +54,8 @@ Operand allocate(int64_t rows, int32_t width, Device device) {
   return {Storage::allocate(bytes, device)->range(), rows, width};
 }
 
-// Checks a table before it is sorted. The table does not change while a capture records, so the
-// host may read it there too.
+// Checks a table of corners before it is sorted. The table does not change while a capture records,
+// so the host may read it in a capture too.
 void check_table(const Model& model, const Array& indices) {
   const UntrackedScope untracked;
   const Array on_host = indices.to(Device::cpu());
@@ -67,7 +68,7 @@ void check_table(const Model& model, const Array& indices) {
   });
 }
 
-// Returns the slots of every particle in a table of the model. The table is sorted once for all
+// Returns the slots of every particle in a table of the model. Each table is sorted once for all
 // operators.
 nova::Incidence rows_of(const Model& model, const Array& indices) {
   const nova::GradInfo* info = nova::find_grad_info(*indices.range());
@@ -173,7 +174,7 @@ detail::OperatorSpec detail::with_kernel(OperatorSpec spec) {
   const nova::Kernel kernel =
       nova::make_kernel(spec.kernel_name, sources, {{"contribution", 3 * spec.corners}}, spec.law);
   std::vector<nova::AdjointMask> masks = nova::gradient_sets(kernel, {"particle_q", "particle_qd"});
-  // The adjoint reads the gradient of the forces on the particles through `indices`.
+  // The adjoint reads the gradient by the forces on the particles through `indices`.
   for (nova::AdjointMask& mask : masks) mask.table = 0;
   spec.kernel = nova::with_gradients(kernel, std::move(masks));
   return spec;

@@ -30,8 +30,8 @@ using nova::TraceContext;
 
 namespace {
 
-constexpr int32_t kDofs = 6;                               // the most of any joint
-constexpr int32_t kFree = 16, kDistance = 17, kBall = 18;  // other layouts are 4 linear + angular
+constexpr int32_t kDofs = 6;                               // largest number of any joint
+constexpr int32_t kFree = 16, kDistance = 17, kBall = 18;  // other layouts: 4 linear + angular
 
 int32_t layout_of(JointType type, const Vec2i& dims) {
   const JointTraits traits = joint_traits(type);
@@ -44,7 +44,7 @@ JointBody<Real> load_body(TraceContext& c, const Int& body) {
   JointBody<Real> b = {Columns(c, "body_q", &body).transform(),
                        Columns(c, "body_qd", &body).spatial(),
                        Columns(c, "body_com", &body).vec3()};
-  // The world has no row and reads as zeros, so its quaternion is set.
+  // The world has no row and reads as zeros, so its quaternion is set to the identity.
   b.q.q.w = select(body < Int(0), Real(1.0f), b.q.q.w);
   return b;
 }
@@ -72,7 +72,7 @@ std::vector<Real> list(const JointWrench<Real>& w) {
           w.child.linear.z,   w.child.angular.x,  w.child.angular.y, w.child.angular.z};
 }
 
-// Returns the wrench of a joint of one layout.
+// Returns the wrench of a joint of one layout (numbers of linear and angular dofs, or a type).
 std::vector<Real> layout_wrench(TraceContext& c, int32_t layout, const JointFrames<Real>& frames,
                                 const JointAttach<Real>& attach) {
   const Vec3<Real> none = joint_detail::no_vector<Real>();
@@ -113,7 +113,8 @@ std::vector<Real> joint_wrenches(TraceContext& c, const std::vector<int32_t>& la
   return out;
 }
 
-// Returns the kernel for models with joints of these layouts. Each set of layouts has one kernel.
+// Returns the kernel for models with joints of these layouts. Each set of layouts has its own
+// kernel.
 const nova::Kernel& joint_kernel(const std::vector<int32_t>& layouts) {
   static std::mutex mutex;
   static auto& kernels = *new std::map<std::vector<int32_t>, nova::Kernel>;
@@ -212,8 +213,7 @@ void DiffJoints::find_tables(const Model& m) {
 void DiffJoints::begin(const Model& m, const Control* control, float dt) {
   act_ = false;
   if (m.joint_count() == 0) return;
-  // A capture does not record the checks below, so its graph refuses to run once this array was
-  // written.
+  // A capture does not record the checks below. A replay throws if this array was written since.
   depend_on({&m.joint_enabled});
   const UntrackedScope untracked;
   checks_->check_edits(m, control, "DiffSemiImplicitSolver");

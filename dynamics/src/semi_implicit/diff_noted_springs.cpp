@@ -21,7 +21,7 @@ using diff::detail::TouchRow;
 using diff::detail::TouchSide;
 using diff::detail::Vec3d;
 
-// Calls visit(row) for the contacts that push in a step.
+// Calls visit(row) for each contact that pushes in a step.
 template <class F>
 void for_pushes(const Model& model, const NotedStep& step, const F& visit) {
   if (step.contacts == nullptr) return;
@@ -40,8 +40,8 @@ void for_pushes(const Model& model, const NotedStep& step, const F& visit) {
 nova::Tensor tensor_of(const nova::Operand& of) {
   return {of.range, {of.rows * of.width}, nova::DType::F32};
 }
-// Appends the gradient that the tape keeps, or zeros without one. The gradient of a leaf is the
-// part that this adjoint added.
+// Appends the gradient that the tape keeps for an operand, or zeros if it keeps none. For a leaf
+// only the part that this backward pass added is appended.
 void append_gradient(const AdjointRecord& record, const nova::Operand& of, std::vector<float>& to) {
   const nova::Tensor tensor = tensor_of(of);
   const auto size = static_cast<size_t>(tensor.size());
@@ -62,7 +62,8 @@ void append_rate(const nova::Operand& from, const nova::Operand& next, float dt,
 Vec3f narrow(const Vec3d& a) {
   return {static_cast<float>(a.x), static_cast<float>(a.y), static_cast<float>(a.z)};
 }
-// Returns the gradient by a force on one side, from the gradient {bodies, 6} by wrenches.
+// Returns the gradient by a force at the contact point of a side, from the gradient `wrench`
+// {bodies, 6} by wrenches.
 Vec3d by_force(const std::vector<float>& wrench, const TouchSide& side) {
   if (side.body < 0) return {};
   const float* const w = wrench.data() + 6 * static_cast<size_t>(side.body);
@@ -93,7 +94,8 @@ PairOfWorld pair_of(const AdjointRecord::Contact& c) {
   return {c.world, std::min(c.shape0, c.shape1), std::max(c.shape0, c.shape1)};
 }
 
-// Notes the changes of contacts of one pair of each world. Passes on no tangent of their forces.
+// Stores the changes of the contacts of one pair per world, and then sets the tangents of their
+// forces to zero, so that later steps do not see these changes.
 class HeldPairs : public nova::TangentVisitor {
  public:
   HeldPairs(const std::map<PairOfWorld, int32_t>& numbers, int32_t number)
@@ -107,7 +109,7 @@ class HeldPairs : public nova::TangentVisitor {
   }
 
  private:
-  // `tangents` {rows, 12}: of the wrench on A, then on B.
+  // `tangents` {rows, 12}: tangents of the wrenches on A, then on B.
   void hold(AdjointRecord::Step& step, float* tangents) const {
     for (const AdjointRecord::Contact& c : step.contacts) {
       if (numbers_.at(pair_of(c)) != number_) continue;
@@ -124,7 +126,7 @@ class HeldPairs : public nova::TangentVisitor {
 }  // namespace
 
 float steps_per_contact(const Model& model, std::span<const NotedStep> steps) {
-  double stiffest = 0.0;  // (dt w)^2
+  double stiffest = 0.0;  // largest (dt w)^2
   if (!diff::is_on_host(model)) steps = {};
   nova::flush_deferred();
   for (const NotedStep& step : steps)
@@ -157,7 +159,8 @@ void add_springs(const Model& model, std::span<const NotedStep> steps, AdjointRe
     append_gradient(record, qd, to.start);
     append_gradient(record, step.q_next, to.end);
     append_gradient(record, step.qd_next, to.end);
-    // The derivative of the motion keeps H over a touch, and not within.
+    // H is compared between states. With separate memory inside a touch (DerivativeOf::Motion) the
+    // gradient keeps H only over the whole touch, so a step inside gets no rates.
     if (step.body_q.range()->data() == step.start) {
       append_rate(q, step.q_next, step.dt, to.rates);
       append_rate(qd, step.qd_next, step.dt, to.rates);
@@ -172,8 +175,8 @@ void add_springs(const Model& model, std::span<const NotedStep> steps, AdjointRe
 }
 
 bool find_changes_of_springs(AdjointRecord& record, const std::function<void()>& run) {
-  std::map<PairOfWorld, int32_t> numbers;  // number of each pair of a world
-  std::map<int32_t, int32_t> count;        // count of pairs by world
+  std::map<PairOfWorld, int32_t> numbers;  // index of each pair within its world
+  std::map<int32_t, int32_t> count;        // number of pairs per world
   int32_t most = 0;
   for (AdjointRecord::Step& step : record.steps) {
     if (!step.of_springs) continue;

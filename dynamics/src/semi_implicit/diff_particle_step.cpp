@@ -55,7 +55,7 @@ void ParticleStep::add_contacts(const Model& model, const SimState& in, const Co
 }
 
 std::vector<ScratchSpec> ParticleStep::scratch() const {
-  // Memory for the forces including those of the elements, and for the sum that includes contacts.
+  // Memory for the forces with those of the elements, and for the sum with those of the contacts.
   return {size_t{has_elements()} + size_t{meets_bodies_},
           {DType::vec3, elements_.particle_count(), 1}};
 }
@@ -70,8 +70,8 @@ void ParticleStep::run(const Model& model, SimState& in, SimState& out, const Co
   const Operand q = nova::operand_of(in.particle_q), qd = nova::operand_of(in.particle_qd);
   const Operand applied = nova::operand_of(in.particle_f);
   touches_ = false;
-  // Recorded forces are stored in memory of the tape. The state's own array gets a copy, so the
-  // user can clear and reuse that array.
+  // Recorded forces need memory of the tape. The state's own array gets a copy, so the user can
+  // clear and reuse that array.
   const bool recording = nova::Tape::active() != nullptr;
   const auto target = [&] {
     if (!recording) return applied;

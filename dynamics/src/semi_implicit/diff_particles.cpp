@@ -23,7 +23,7 @@ using nova::TraceContext;
 
 namespace {
 
-// The sources of the integration, after particle_q, particle_qd and particle_f.
+// Returns the sources of the integration kernel after particle_q, particle_qd and particle_f.
 std::vector<nova::SourceSpec> integration_sources(Worlds worlds) {
   const bool several = worlds == Worlds::Several;
   std::vector<nova::SourceSpec> sources = {
@@ -63,13 +63,13 @@ std::vector<Real> integrate(TraceContext& c, Worlds worlds, const Vec3<Real>& fo
 const std::vector<nova::OutputSpec> kOutputs = {{"particle_q", 3, "particle_q"},
                                                 {"particle_qd", 3, "particle_qd"}};
 
-// Gradients of the state alone are the most frequent request to the kernels that also find
-// contacts.
+// Adds a kernel variant that computes the gradients by the state only, the most frequent request to
+// the kernels that also find contacts.
 nova::Kernel with_state_gradients(const nova::Kernel& kernel) {
   return nova::with_gradient_sets(kernel, {"particle_q", "particle_qd"});
 }
 
-// particle_f comes from elements here, so its gradient is needed to reach them.
+// particle_f comes from elements here, so its gradient is needed to reach the elements.
 nova::Kernel make_integrate_kernel(const char* name, Worlds worlds) {
   return nova::with_gradient_sets(
       nova::make_kernel(name, integration_sources(worlds), kOutputs,
@@ -89,7 +89,7 @@ nova::EpilogueFn integrate_sums(Worlds worlds) {
   };
 }
 
-// Evaluates static contacts and integrates one substep.
+// Makes the kernel that evaluates static contacts and integrates one substep.
 nova::Kernel make_fused_kernel(const char* name, Worlds worlds, Shapes shapes) {
   std::vector<nova::SourceSpec> sources = integration_sources(worlds);
   sources.push_back({"particle_radius", DType::F32, 1, Access::Direct});
@@ -107,7 +107,7 @@ nova::Kernel make_fused_kernel(const char* name, Worlds worlds, Shapes shapes) {
        .epilogue = integrate_sums(worlds)}));
 }
 
-// Evaluates contacts and integrates one substep.
+// Makes the kernel that evaluates stored contacts and integrates one substep.
 nova::Kernel make_step_kernel(const char* name, Worlds worlds) {
   std::vector<nova::SourceSpec> sources = integration_sources(worlds);
   sources.push_back({"particle_radius", DType::F32, 1, Access::Direct});
@@ -142,7 +142,7 @@ const Kernels& kernels(Worlds worlds) {
   return worlds == Worlds::Several ? several : one;
 }
 
-// Returns the kernel with static contacts. A scene with other than simple shapes gets a kernel that
+// Returns the kernel with static contacts. Scenes with shapes that are not simple get a kernel that
 // is not compiled ahead of time.
 const nova::Kernel& fused_kernel(Worlds worlds, Shapes shapes) {
   if (shapes == Shapes::Simple) return kernels(worlds).fused;

@@ -82,7 +82,7 @@ Transform<Real> constant(const Transform<Real>& x) {
   return {constant(x.p), {detach(x.q.x), detach(x.q.y), detach(x.q.z), detach(x.q.w)}};
 }
 
-// Computes the wrench of the contacts of one pair.
+// Computes the wrench of the contacts of one plane-shape pair on the body.
 std::vector<Real> pair_wrench(TraceContext& c) {
   const Int plane = c.i32(c.source("pairs"), 0), shape = c.i32(c.source("pairs"), 1);
   const Transform<Real> plane_pose = constant(Columns(c, "shape_transform", &plane).transform());
@@ -108,7 +108,7 @@ std::vector<Real> pair_wrench(TraceContext& c) {
   return {w.linear.x, w.linear.y, w.linear.z, w.angular.x, w.angular.y, w.angular.z};
 }
 
-// Loads the stored inverses, and passes their gradients to mass and inertia.
+// Loads the stored inverse mass and inertia, and passes their gradients to mass and inertia.
 RigidBodyMass<Real> load_mass(TraceContext& c) {
   RigidBodyMass<Real> mass;
   mass.com = Columns(c, "body_com").vec3();
@@ -120,7 +120,8 @@ RigidBodyMass<Real> load_mass(TraceContext& c) {
     mass.inertia.m[k / 3][k % 3] = inertia[k];
     inverse.m[k / 3][k % 3] = detach(stored[k]);
   }
-  // d(I^-1) = -I^-1 dI I^-1, with the stored inverse: zero if the inverse is held at zero.
+  // d(I^-1) = -I^-1 dI I^-1, with the stored inverse I^-1. A kinematic body's stored inverse is
+  // zero, so its gradient is zero.
   const Mat33<Real> change = math::multiply(math::multiply(inverse, mass.inertia), inverse);
   for (int32_t i = 0; i < 3; ++i)
     for (int32_t j = 0; j < 3; ++j)
@@ -181,7 +182,8 @@ const nova::Kernel& kernel(Worlds worlds) {
   return worlds == Worlds::Several ? several : one;
 }
 
-// Only for comparisons, so these kernels are not compiled ahead of time.
+// The kernel with Newton's spin, which exists for comparisons only and is not compiled ahead of
+// time.
 const nova::Kernel& newton_kernel(Worlds worlds) {
   static const nova::Kernel one = make_kernel("newton_rigid_bodies_with_static_contacts",
                                               Worlds::One, true),
@@ -273,7 +275,7 @@ void PlanePairs::find_pairs(const Model& model) {
 
 void PlanePairs::update(const Model& model, bool with_contacts) {
   depend_on({&model.shape_body, &model.shape_type, &model.shape_scale, &model.body_world});
-  // The list of pairs costs time quadratic in the number of shapes.
+  // The computation of shape_contact_pairs takes time quadratic in the number of shapes.
   if (with_contacts) depend_on({&model.shape_contact_pairs()});
   if (known_ && with_contacts_ == with_contacts &&
       (!with_contacts || contact_pairs_.matches(model.shape_contact_pairs())) &&
@@ -282,7 +284,7 @@ void PlanePairs::update(const Model& model, bool with_contacts) {
     return;
   known_ = false;
   with_contacts_ = with_contacts;
-  // A capture does not record the model, so the host may read it here.
+  // A capture does not record the model's arrays, so the host may read them here.
   {
     const UntrackedScope untracked;
     check_worlds(model);

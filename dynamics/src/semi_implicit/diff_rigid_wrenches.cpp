@@ -10,7 +10,7 @@ namespace {
 struct RigidKernel {
   FrictionLaw law = FrictionLaw::Huber;
   PenaltyLaw penalty = PenaltyLaw::Sampled;
-  bool follow = false;   // points and normals follow the bodies
+  bool follow = false;   // points and normals move with the bodies
   bool of_rows = false;  // contact rows have their own materials
 };
 std::vector<Real> rigid_wrenches(TraceContext& c, const RigidKernel& of) {
@@ -76,7 +76,7 @@ const nova::Kernel& rigid_kernel(bool follow) {
                             held = make_rigid_kernel("held_rigid_contact_wrenches", {});
   return follow ? following : held;
 }
-// The kernel for contact rows with their own materials.
+// Returns the kernel for contact rows with their own materials.
 const nova::Kernel& own_rigid_kernel(bool follow) {
   static const nova::Kernel following = make_rigid_kernel("own_rigid_contact_wrenches",
                                                           {.follow = true, .of_rows = true}),
@@ -84,8 +84,8 @@ const nova::Kernel& own_rigid_kernel(bool follow) {
                                                      {.of_rows = true});
   return follow ? following : held;
 }
-// The kernel of PenaltyLaw::Mean. Like the kernel below, this one is interpreted, because few
-// scenes use it.
+// Returns the kernel of PenaltyLaw::Mean. The interpreter runs it, as the kernels below, because
+// few scenes use it.
 const nova::Kernel& mean_kernel(bool follow, bool of_rows) {
   const auto make = [](const char* name, bool follows, bool own) {
     return make_rigid_kernel(name,
@@ -98,7 +98,8 @@ const nova::Kernel& mean_kernel(bool follow, bool of_rows) {
        make("own_mean_rigid_contact_wrenches", true, true)}};
   return kernels[follow][of_rows];
 }
-// Only for comparisons, so these kernels are not compiled ahead of time.
+// Returns the kernel of a friction law of Newton. These laws are for comparisons only, so their
+// kernels are not compiled ahead of time.
 const nova::Kernel& newton_kernel(FrictionLaw law, bool of_rows) {
   const auto make = [](const char* name, FrictionLaw of, bool own) {
     return make_rigid_kernel(name, {.law = of, .of_rows = own});

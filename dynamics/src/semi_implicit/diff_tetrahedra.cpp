@@ -13,9 +13,10 @@ using nova::TraceContext;
 
 namespace {
 
-// Optimization of materials accumulates their gradient in every step but the last of the backward
-// pass. No caller reads the gradient of the damping of materials that assign_tet_materials has
-// written. This set of gradients contains that of the state and replaces it.
+// Adds a kernel variant for the gradients that optimization of materials needs: by the state, and
+// by the materials except the damping. The material gradient accumulates in every step but the last
+// of the backward pass. The damping of materials that assign_tet_materials has written needs no
+// gradient. This set replaces the set of the state alone, which it contains.
 detail::OperatorSpec with_material_gradients(detail::OperatorSpec spec) {
   constexpr uint32_t kDamping = 2;
   std::vector<nova::AdjointMask> masks = spec.kernel.gradients();
@@ -66,8 +67,8 @@ Tensor eval_tetrahedra_forces_generated(const Model& model, const Tensor& partic
 
 namespace {
 
-// Computes k_mu and k_lambda from the parameters, which a row or the whole model has, and k_damp
-// from the base.
+// Makes the kernel that computes k_mu and k_lambda from parameters, of each row or of the whole
+// model, and k_damp from the base.
 nova::Kernel make_material_kernel(const char* name, Access access) {
   return nova::with_one_gradient_set(
       nova::make_kernel(name,

@@ -20,7 +20,8 @@ void add(float* to, const Vec3d& a) {
   to[2] += static_cast<float>(a.z);
 }
 
-// turned: the quaternion product (a, 0) q. turn_of: the vector part of p times the conjugate of q.
+// turned(): the quaternion product (a, 0) q. turn_of(): the vector part of p times the conjugate of
+// q.
 Quat<double> turned(const Vec3d& a, const Quat<double>& q) {
   return math::multiply(Quat<double>{a.x, a.y, a.z, 0.0}, q);
 }
@@ -115,7 +116,7 @@ Vec3d force_gradient(const TouchSide& side, const StateRows& of) {
   return load(f) + cross(load(f + 3), side.arm);
 }
 
-// Adds the forces of a ramp for the tangents `x`.
+// Adds the change of the force of a ramp (a contact near its begin or end) for the tangents `x`.
 void ramp_jvp(const TouchRamp& ramp, const StateRows& x, const StateRows& to) {
   double gap = 0.0;
   Vec3d u{};
@@ -203,7 +204,7 @@ void start_vjp(const TouchWork& work, const StateRows& of, const StateRows& to) 
     if (ramp->acts()) ramp_vjp(*ramp, of, to);
 }
 
-// Converts tensors to rows of states. The tensors have the order of the arrays that exist.
+// Converts tensors to rows of states. The tensors are in the order of the arrays that exist.
 struct RowsOf {
   std::array<bool, 6> there{};
   StateRows of(std::span<const nova::Tensor> all) const {
@@ -301,8 +302,9 @@ namespace novaphy::diff {
 
 namespace {
 
-// Up to this angle h w, the window of a touch with a lever arm is accurate. Without a lever arm it
-// is accurate at every angle.
+// Largest angle h w (radians of contact oscillation per step) at which the derivative over a whole
+// touch is accurate for a touch with a lever arm. Without a lever arm it is accurate at every
+// angle.
 constexpr double kWindowAngle = 0.3;
 
 }  // namespace

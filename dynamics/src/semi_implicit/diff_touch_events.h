@@ -1,4 +1,5 @@
-// The record of a touch, and the effect of its steps on tangents and gradients (diff_touches.h).
+// TouchEvent: the data of a touch, and the effect of its steps on tangents and gradients
+// (diff_touches.h).
 #pragma once
 
 #include <algorithm>
@@ -12,8 +13,8 @@
 
 namespace novaphy::diff::detail {
 
-// The tangent of a side: of the center of mass (or the particle), of the rotation, and of both
-// rates.
+// The tangent of a side: displacement of the center of mass (or the particle), rotation, and the
+// changes of both rates.
 using Tangent = std::array<Vec3d, 4>;
 constexpr size_t kPlace = 0, kTurn = 1, kVelocity = 2, kSpin = 3;
 inline double product(const Tangent& a, const Tangent& b) {
@@ -31,7 +32,7 @@ struct StateRows {
         *body_f = nullptr, *particle_f = nullptr;
 };
 
-// A side at a state, with the maps between raw rows and tangents.
+// A side at a state, with the maps between rows of states (seven numbers per pose) and tangents.
 struct SideFrame {
   TouchSide side;
   Quat<double> turn{};
@@ -46,48 +47,49 @@ struct SideFrame {
 SideFrame frame_of(const Model& m, const SimState& state, const TouchSide& side);
 std::array<Vec3d, 2> rates_of(const SimState& state, const TouchSide& side);
 
-// Returns the linear and angular accelerations of a side by a force and a moment.
+// Returns the linear and angular accelerations of a side caused by a force and a moment.
 std::array<Vec3d, 2> respond(const Model& m, const SideFrame& at, const Vec3d& force,
                              const Vec3d& moment);
 
-// Up to this angle h w, the mean force has the derivative of the motion within a few percent.
+// Bounds on the angle h w (step times contact frequency, rad) and related errors. Up to kSoftAngle
+// the derivative of the mean force is that of the motion within a few percent.
 constexpr double kSoftAngle = 0.1;
-// Up to this angle h w, that also holds for a touch whose friction changes, unless it turns a body.
+// The same bound for a touch whose friction changes, unless the touch rotates a body.
 constexpr double kFrictionAngle = 0.15;
-// Friction that removes a larger part of the slip in one step does not approximate the motion.
+// Friction that removes a larger fraction of the slip in one step does not approximate the motion.
 constexpr double kMostSlipTaken = 0.5;
-// A step may meet the gap 0 at any phase. The phase changes the speed after a touch. A damper jumps
-// at the gap 0, which changes the speed by up to its effect in one step. A spring changes the speed
-// by (h w)^2 / 7. Later touches begin with this error. The constant bounds the error.
+// Bound of the relative error of the speed after a touch. The error depends on the phase at which a
+// step meets the gap 0. A damper jumps at the gap 0, which changes the speed by up to its effect in
+// one step. A spring changes the speed by (h w)^2 / 7. Later touches start with this error.
 constexpr double kMostSpeedOff = 0.04;
 
 enum class TouchFlaw : uint8_t {
   None,
-  Several,   // more contacts at once
-  OneSided,  // the begin or end of the touch is outside of the steps, or is cut
-  Held,      // by joints, elements or adhesion
+  Several,   // several contacts at once
+  OneSided,  // begin or end is not among the steps, or is cut
+  Held,      // joints, elements or adhesion also act
   Long,      // too many steps
-  Rests      // the speed of approach is not above the effect of forces in one step
+  Rests      // the approach speed is not above the effect of forces in one step
 };
 
 struct TouchEvent {
   int32_t first = 0, second = 0, point = 0;
-  // the derivative of the delay with respect to positions and rotations of both sides
+  // derivative of the delay by positions and rotations of both sides
   std::array<Tangent, 2> delay_by{};
   double stiff_angle = 0.0;           // h w
   bool turns = false;                 // the force has a moment about a center of mass
   // Friction removes most of the slip in a step. Or friction changes between sticking and slipping
-  // in a stiff touch, or in a touch that turns a body.
+  // in a stiff touch or in a touch that rotates a body.
   bool shakes = false;
   bool rubs = false;  // has friction
-  // error of the speed that the phase causes, over this touch and earlier touches of both sides
+  // relative error of the speed by the phase, over this touch and earlier touches of both sides
   double speed_off = 0.0;
-  bool slides = false;    // friction slid in the last step
+  bool slides = false;    // whether friction slid in the last step
   double approach = 0.0;  // m/s
   std::shared_ptr<MotionEvent> told = {};
-  int64_t begin = 0;                // the step of the chain in which the touch begins
-  int64_t points = 0, changed = 0;  // code of the points that push, and the step of its last change
-  // other contacts of both sides, which rest during this touch
+  int64_t begin = 0;                // index in the chain of the step in which the touch begins
+  int64_t points = 0, changed = 0;  // code of the pushing points, and the step of its last change
+  // other contacts of both sides, which are at rest during this touch
   std::vector<std::weak_ptr<const TouchEvent>> beside;
   int32_t steps = 0;
   TouchFlaw flaw = TouchFlaw::None;
@@ -95,13 +97,13 @@ struct TouchEvent {
   bool ended = false;
   bool is_window() const { return whole && flaw == TouchFlaw::None; }
 
-  // Values during one pass over a tape: the delay of a tangent, the mismatch of an adjoint, and the
-  // half step that each of them was last computed for.
+  // Values during one pass over a tape: the delay in a tangent and the mismatch in an adjoint, each
+  // with the half step for which it was last computed.
   double delay = 0.0, mismatch = 0.0;
   int32_t forward_at = -1, backward_at = -1;
 };
 
-// A step of a touch.
+// One step of a touch.
 struct TouchStep {
   std::shared_ptr<TouchEvent> event;
   int32_t number = 0;
@@ -110,8 +112,8 @@ struct TouchStep {
   std::array<std::array<Vec3d, 2>, 2> applied{};
 };
 
-// A contact within half a step of its begin or end. `event`: a touch that may replace the ramp;
-// null: none.
+// A "ramp": a contact within half a step of its begin or end, with an averaged force
+// (touch_rows.h). `event`: a touch that may replace the ramp; null: none.
 struct TouchRamp {
   TouchRow row;
   std::array<SideFrame, 2> frames;
@@ -119,18 +121,18 @@ struct TouchRamp {
   bool acts() const { return event == nullptr || !event->is_window(); }
 };
 
-// Returns the report of a touch whose first row is `row`, in a step that starts at `time` (s) from
-// the `frames`.
+// Returns the MotionEvent of a touch whose first row is `row`, in a step that starts at `time` (s)
+// with the sides at `frames`.
 std::shared_ptr<MotionEvent> tell_touch(const Model& m, const TouchRow& row,
                                         const TouchEvent& event,
                                         const std::array<SideFrame, 2>& frames, double time,
                                         double dt);
 
-// The common data of the two operations of a step.
+// The data that both operations of a step (at its start and its end) share.
 struct TouchWork {
   std::vector<std::shared_ptr<TouchStep>> steps;
   std::vector<std::shared_ptr<TouchRamp>> ramps;
-  // Whether the step has more than the gradient of the code.
+  // Returns whether the gradient of the step has a term besides that of the code.
   bool acts() const {
     return std::ranges::any_of(steps, [](const auto& s) { return s->event->is_window(); }) ||
            std::ranges::any_of(ramps, [](const auto& r) { return r->acts(); });
@@ -139,8 +141,8 @@ struct TouchWork {
 
 // The arrays of an operation, in the order of StateRows.
 using TouchArrays = std::array<nova::Operand, 6>;
-// Records an operation that copies `from` to `to`, and whose derivatives include the work.
-// `at_start`: at the start of a step, else after the step.
+// Records an operation that copies `from` to `to` and whose derivatives include `work`. `at_start`:
+// at the start of a step, else at its end.
 void record_touches(const std::shared_ptr<const TouchWork>& work, bool at_start,
                     const TouchArrays& from, const TouchArrays& to);
 

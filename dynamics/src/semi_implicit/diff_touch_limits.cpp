@@ -1,5 +1,5 @@
-// Limits of joints as springs between bodies: gradients of the motion do not move their times
-// (diff_touches.h).
+// Joint limits as springs between bodies. Gradients of the motion do not move the times of these
+// limits (diff_touches.h), so they are only counted.
 #include <cstdint>
 
 #include "diff_touch_motion.h"
@@ -11,7 +11,7 @@ namespace novaphy::diff {
 
 namespace {
 
-// Calls visit(dof, q) for the coordinates of a joint that have limits.
+// Calls visit(dof, q) for each coordinate of a joint that has limits.
 template <class F>
 void for_limited(const Model& m, int32_t joint, const JointFrames<float>& at, const F& visit) {
   const auto type = static_cast<JointType>(m.joint_type.data()[joint]);

@@ -1,4 +1,4 @@
-// TouchMotion::Impl: the touches that have begun and not ended, step after step (diff_touches.h).
+// TouchMotion::Impl: the touches that have begun and not ended, from step to step (diff_touches.h).
 #pragma once
 
 #include <algorithm>
@@ -13,7 +13,7 @@
 
 namespace novaphy::diff {
 
-using namespace detail;  // the types of touches
+using namespace detail;  // types of touches
 
 struct TouchMotion::Impl {
   Impl(const TouchSettings& s, const Model& m)
@@ -22,15 +22,16 @@ struct TouchMotion::Impl {
   // A touch that has begun and not ended.
   struct Open {
     std::shared_ptr<TouchEvent> event;
-    std::shared_ptr<TouchStep> last;  // its last step; null: the touch is no window
+    std::shared_ptr<TouchStep> last;  // its last step; null: no derivative over the whole touch
   };
 
   bool is_held(const TouchSide& side) const {
     if (side.particle >= 0) return settings.elements;
     return side.body >= 0 && jointed[static_cast<size_t>(side.body)];
   }
-  // Returns whether another contact of a touch's sides may rest: it is with the world, and has its
-  // own touch. rests() then checks that the same points push from before the touch to its end.
+  // Returns whether another contact of a touch's sides may be at rest: it is with the world, and
+  // has its own touch. rests() then checks that the same points push from before the touch to its
+  // end.
   bool is_beside(TouchEvent& touch, const std::array<TouchSide, 2>& sides,
                  const TouchRow& row) const {
     for (const TouchSide& y : row.sides)
@@ -47,7 +48,7 @@ struct TouchMotion::Impl {
       return other != nullptr && other->changed < touch.begin;
     });
   }
-  // Returns whether the sides of a touch have another contact that does not rest.
+  // Returns whether the sides of a touch have another contact that is not at rest.
   bool meets_others(TouchEvent& touch, const std::array<TouchSide, 2>& sides) const {
     for (const TouchSide& side : sides) {
       if (!side.responds) continue;
@@ -80,7 +81,7 @@ struct TouchMotion::Impl {
   bool follows(const SimState& in, float dt) const {
     return at_q == place(in).first && at_version == place(in).second && last_dt == dt;
   }
-  // Returns the memory that identifies a state, and its version.
+  // Returns the address of a state's memory, and the version of its contents.
   std::pair<const void*, uint64_t> place(const SimState& s) const {
     const auto of = [](const auto& q, const auto& qd) {
       return std::pair<const void*, uint64_t>(q.range()->data(),
@@ -105,8 +106,8 @@ struct TouchMotion::Impl {
     return all;
   }
 
-  // Notes a change of friction in a stiff touch, or in a touch that turns a body. Several points
-  // may hide such a change from each other.
+  // Sets `shakes` if friction changes between sticking and slipping in a stiff touch, or in a touch
+  // that rotates a body. With several points a change at one may hide a change at another.
   static void watch_friction(const TouchRow& row, bool several, TouchEvent& event) {
     if (!event.turns && event.stiff_angle <= kFrictionAngle) return;
     if (row.slides != event.slides || (several && row.slip_taken > 0.0)) event.shakes = true;
@@ -119,7 +120,7 @@ struct TouchMotion::Impl {
                   TouchList& b);
   void find_ramps(const Model& m, TouchedStep& step, TouchList& a, TouchList& b);
   void move(const Model& m, TouchedStep& step) const;
-  // Returns the number of dofs that have passed a limit since the last step (0 without one).
+  // Returns the number of dofs that have passed a limit since the last step. 0: no last step.
   int64_t find_limits(const Model& m, const SimState& state, bool follows_last);
 
   TouchSettings settings;
@@ -130,19 +131,19 @@ struct TouchMotion::Impl {
             : off_of_particles)[static_cast<size_t>(side.body >= 0 ? side.body : side.particle)];
   }
 
-  std::vector<char> jointed;                            // {bodies}: 1 if a joint holds the body
-  std::vector<char> limit_sides;                        // {dofs}: -1 below, 1 above the limits
+  std::vector<char> jointed;                            // {bodies}: 1 if the body has a joint
+  std::vector<char> limit_sides;                        // {dofs}: -1 below, 1 above limits, else 0
   std::vector<double> off_of_bodies, off_of_particles;  // TouchEvent::speed_off
   std::vector<TouchRow> rows;
   TouchIndex index;  // of `rows`
   std::vector<Open> open, closing;
   std::unordered_map<PairKey, std::shared_ptr<TouchEvent>> open_of, closing_of;
-  // Ramps of the last step whose touch may still begin.
+  // Ramps (contacts near their begin) of the last step whose touch may still begin.
   std::unordered_multimap<PairKey, std::shared_ptr<TouchRamp>> waiting;
   const void* at_q = nullptr;
   uint64_t at_version = 0;
   float last_dt = 0.0f;
-  int64_t number = 0, chain = 0;  // of the step, as MotionEvent::step and chain
+  int64_t number = 0, chain = 0;  // of the step, as in MotionEvent
   double time = 0.0;              // s, at its start
   const Control* last_control = nullptr;
 };

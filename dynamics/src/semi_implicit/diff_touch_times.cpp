@@ -1,4 +1,4 @@
-// Where the sides of touches are, and when touches begin, for those who ask (motion_events.h).
+// Poses of the sides of touches, and the list of events with their times (motion_events.h).
 #include <algorithm>
 
 #include "diff_touch_events.h"
@@ -43,7 +43,7 @@ std::shared_ptr<MotionEvent> tell_touch(const Model& m, const TouchRow& row,
   told->world = std::max(told->world, 0);
   if (event.rubs) told->friction = row.slides ? MotionFriction::Slides : MotionFriction::Sticks;
   told->approach = static_cast<float>(event.approach);
-  // The gap is closed: the touch begins in the step before.
+  // The gap is already closed, so the touch begins in the step before this one.
   told->set_time(time, dt, row.gap);
   told->phase = static_cast<float>(std::clamp(1.0 + row.gap / (event.approach * dt), 0.0, 1.0));
   for (size_t i = 0; i < 2; ++i) {
@@ -54,7 +54,7 @@ std::shared_ptr<MotionEvent> tell_touch(const Model& m, const TouchRow& row,
     MotionEvent::Slope slope{is_body ? MotionArray::BodyQ : MotionArray::ParticleQ, 0, {}};
     slope.by.resize(is_body ? 7 : 3);
     slope.first = int64_t{number} * static_cast<int64_t>(slope.by.size());
-    number = 0;  // of rows that are those of this side alone
+    number = 0;  // row within the arrays of this side alone
     std::array<float, 6> rates{};
     of.add_gradient(event.delay_by[i],
                     is_body ? StateRows{slope.by.data(), rates.data()}

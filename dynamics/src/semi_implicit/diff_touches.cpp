@@ -19,7 +19,7 @@ using math::dot;
 
 namespace {
 
-constexpr int32_t kMostSteps = 200;      // the most steps of a touch that is one event
+constexpr int32_t kMostSteps = 200;      // largest number of steps of a touch that is one event
 constexpr double kLeastApproach = 1e-3;  // m/s
 
 template <class T>
@@ -94,7 +94,7 @@ void TouchMotion::Impl::begin_touch(const Model& m, const SimState& in, const To
 
 void TouchMotion::Impl::find_steps(const Model& m, TouchedStep& step, bool follows_last, float dt,
                                    TouchList& a, TouchList& b) {
-  // A row without an open touch begins one.
+  // A row that pushes, and whose pair has no open touch, begins a touch.
   for (const TouchRow& row : rows)
     if (row.pushes && !open_of.contains(pair_key(row)))
       begin_touch(m, *step.in, row, follows_last, dt, a, b);
@@ -135,7 +135,7 @@ void TouchMotion::Impl::find_steps(const Model& m, TouchedStep& step, bool follo
         s->start[k] = frame_of(m, *step.in, mine->sides[k]);
         s->applied[k] = applied(step, mine->sides[k]);
         if (event.steps > 0) continue;
-        // Subtracts the force of the touch.
+        // Subtracts the acceleration by the touch's force.
         const Vec3d force = mine->force * (k == 0 ? 1.0 : -1.0);
         const auto without = respond(m, s->start[k], force, cross(mine->sides[k].arm, force));
         s->before[k][kVelocity] = without[0];
@@ -164,7 +164,8 @@ void TouchMotion::Impl::find_ramps(const Model& m, TouchedStep& step, TouchList&
     for (TouchList* list : {&a, &b}) ++list->ramp_steps;
 }
 
-// Gives the kernels separate memory, and records the effect of the touches on derivatives.
+// Gives the kernels separate memory for states and forces, and records the effect of the touches on
+// derivatives.
 void TouchMotion::Impl::move(const Model& m, TouchedStep& step) const {
   const SimState &in = *step.in, &out = *step.out;
   StateFields from = in, to = out;
@@ -209,7 +210,8 @@ TouchedStep TouchMotion::begin(const Model& model, const SimState& in, SimState&
   step.forces = forces;
   step.body_forces = body_forces;
   step.work = std::make_shared<TouchWork>();
-  // Forces of joints act on free bodies too, and a change of them within a touch is no part of it.
+  // Forces of joints act on unattached bodies too. Their change within a touch is not modeled, so a
+  // change of control cuts the touch.
   const bool same = !t.settings.jointed || t.last_control == control;
   const bool follows = t.follows(in, dt);
   t.last_control = control;
@@ -250,14 +252,14 @@ void TouchMotion::end(const Model& model, TouchedStep& step) {
   Impl& t = *impl_;
   nova::flush_deferred();
   const SimState &from = step.from(), &to = step.to();
-  // The accelerations of the step, on the tape's states.
+  // Returns the mean acceleration of a side over the step, from the states on the tape.
   const auto acceleration = [&](const TouchSide& side) {
     const auto v0 = rates_of(from, side), v1 = rates_of(to, side);
     const double by = 1.0 / double{t.last_dt};
     return std::array<Vec3d, 2>{(v1[0] - v0[0]) * by, (v1[1] - v0[1]) * by};
   };
-  // The rates behind a step of a touch, which are those at the start of this one, with the forces
-  // that were applied there.
+  // Sets the accelerations after the last step of a touch: those of this step, but with the
+  // external forces of that last step.
   const auto finish = [&](TouchStep& last) {
     for (size_t k = 0; k < 2; ++k) {
       const TouchSide& side = last.end[k].side;
@@ -287,7 +289,7 @@ void TouchMotion::end(const Model& model, TouchedStep& step) {
       s->after[k] = {v1[0], v1[1], {}, {}};
     }
     if (s->number > 0) continue;
-    double push = 0.0;  // of a step, relative to the approach
+    double push = 0.0;  // speed from one step's forces, relative to the approach
     for (size_t k = 0; k < 2; ++k)
       push +=
           product(s->event->delay_by[k], {s->before[k][kVelocity], s->before[k][kSpin], {}, {}});

@@ -1,4 +1,5 @@
-// Loads the columns of bodies and shapes in traced kernels as vectors, poses and materials.
+// Functions that load the columns of bodies and shapes in traced kernels as vectors, poses and
+// materials.
 #pragma once
 
 #include <vector>
@@ -27,7 +28,8 @@ struct Columns {
   SpatialVector<nova::Real> spatial() const { return {vec3(), vec3(3)}; }
 };
 
-// The contact material of shapes: the sources, the operands, and the material of one shape.
+// The following functions are for the contact material of shapes: the sources, the operands, and
+// the material of one shape.
 inline std::vector<nova::SourceSpec> material_sources() {
   using nova::Access;
   using nova::DType;

@@ -11,7 +11,8 @@ namespace {
 
 constexpr int64_t kChunk = 128;  // elements per thread
 
-// Calls body(element, forces of its entries) for every element. An element has `width` entries.
+// Calls body(element, forces of its entries) for every element. An element has `width` entries, one
+// per corner.
 template <class Body>
 void for_elements(int32_t count, size_t width, std::vector<Vec3f>& forces, Body&& body) {
   for_chunks(count, kChunk, [&](int64_t begin, int64_t end, int64_t) {
@@ -19,7 +20,7 @@ void for_elements(int32_t count, size_t width, std::vector<Vec3f>& forces, Body&
   });
 }
 
-// The state at the corners of an element. An absent corner is zero.
+// The positions and velocities of the corners of an element. A missing corner is zero.
 template <size_t N>
 struct Corners {
   Vec3f x[N], v[N];

@@ -1,7 +1,7 @@
-// The forces of springs, triangles, bending edges and tetrahedra, in two passes without a data
-// race. First every element writes its forces on its particles. Then every particle sums its forces
-// in the order springs, triangles, edges, tetrahedra, and within each kind in the order of the
-// elements.
+// ElementForces: the forces of springs, triangles, bending edges and tetrahedra, in two passes
+// without a data race. First every element writes its forces on its particles. Then every particle
+// sums its forces in the order springs, triangles, edges, tetrahedra, and within each kind in the
+// order of the elements.
 #pragma once
 
 #include <vector>
@@ -14,10 +14,10 @@ namespace novaphy {
 
 class ElementForces {
  public:
-  // Whether the model has elements.
+  // Returns whether the model has elements.
   static bool any(const Model& model);
 
-  // Evaluates all elements, with the activations of the control, or of the model if `control` is
+  // Evaluates all elements. Activations come from the control, or from the model if `control` is
   // null. Reuses its memory. ErrorKind::Index: an element names a particle that does not exist.
   void evaluate(const Model& model, const Control* control, const Vec3f* q, const Vec3f* qd);
   // Returns f plus the forces of the particle's elements.
@@ -34,7 +34,7 @@ class ElementForces {
  private:
   struct Table {
     ParticleRows rows;
-    std::vector<Vec3f> forces;  // for each entry of the table of indices
+    std::vector<Vec3f> forces;  // one per entry of the table of indices
     void update(const Array& indices, int32_t particles, const char* name,
                 bool may_be_absent = false);
   };

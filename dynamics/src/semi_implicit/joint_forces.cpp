@@ -22,7 +22,7 @@ JointType type_of(const Model& m, int32_t joint) {
   return static_cast<JointType>(m.joint_type.data()[joint]);
 }
 
-// Rejects arrays that have no effect on joints held by springs.
+// Throws for arrays that have no effect on penalty joints.
 void check_unused(const Model& m, const char* solver) {
   const std::vector<int32_t> leader = m.joint_mimic.to_host();
   for (size_t j = 0; j < leader.size(); ++j)
@@ -41,7 +41,8 @@ void check_unused(const Model& m, const char* solver) {
   check("joint_velocity_limit", m.joint_velocity_limit, 1.0e6f);
 }
 
-// BALL, FREE and DISTANCE joints have no drive. Their only limit is the distance.
+// Checks BALL, FREE and DISTANCE joints, which have no drive. Only DISTANCE has a limit, the
+// distance.
 void check_without_drive(const Model& m, const char* solver) {
   const std::vector<int32_t> type = m.joint_type.to_host(), start = m.joint_qd_start.to_host();
   const auto check = [&](const char* name, const DeviceArray<float>& array, float by_default,
@@ -77,7 +78,7 @@ void check_perpendicular(const std::vector<Vec3f>& axes, int32_t begin, int32_t 
 
 }  // namespace
 
-// Host copies of the arrays that `prepare` reads from a model on any device.
+// Host copies of the arrays that `prepare` reads. The model may be on any device.
 struct HostJoints {
   explicit HostJoints(const Model& m)
       : type(m.joint_type.to_host()),
@@ -97,7 +98,7 @@ struct HostJoints {
   std::vector<int32_t> type, parent, child, qd_start, flags;
   std::vector<uint8_t> enabled;
   std::vector<Vec2i> dims;
-  std::vector<Transformf> frame[2];  // of parent and child
+  std::vector<Transformf> frame[2];  // joint frames in the parent and in the child
   std::vector<Vec3f> axis, com;
   std::vector<float> inv_mass;
   std::vector<Mat33f> inv_inertia;
@@ -105,8 +106,8 @@ struct HostJoints {
 
 namespace {
 
-// The inverse mass and inertia of a body, in world axes at its pose in the model. Zero for the
-// world and for kinematic bodies, which forces do not move.
+// The inverse mass (1/kg) and inverse inertia (1/(kg m^2)) of a body, in world axes at its pose in
+// the model. Zero for the world and for kinematic bodies, which forces do not move.
 struct Mobility {
   float linear = 0.0f;
   Mat33f angular{};
@@ -125,8 +126,8 @@ float along(const Mat33f& a, const Vec3f& n) {
   return sum;
 }
 
-// Returns the largest n . a n over unit vectors n perpendicular to `axis` (zero: over all unit
-// vectors), by power iteration.
+// Returns the largest n . a n over unit vectors n perpendicular to `axis`, by power iteration. With
+// a zero `axis` n is any unit vector.
 float largest_along(const Mat33f& a, const Vec3f& axis) {
   float largest = 0.0f;
   for (const Vec3f& start : {Vec3f{1.0f, 0.3f, 0.2f}, Vec3f{0.2f, 1.0f, 0.3f}}) {
@@ -142,7 +143,8 @@ float largest_along(const Mat33f& a, const Vec3f& axis) {
   return largest;
 }
 
-// The mobility of a point at `arm` from the center of mass: 1/m + [arm]^T I^-1 [arm].
+// Returns the inverse mass matrix of a point at `arm` from the center of mass: 1/m + [arm]^T I^-1
+// [arm].
 Mat33f mobility_at(const Mobility& body, const Vec3f& arm) {
   const float cross[3][3] = {{0.0f, -arm.z, arm.y}, {arm.z, 0.0f, -arm.x}, {-arm.y, arm.x, 0.0f}};
   Mat33f w{};
@@ -155,8 +157,8 @@ Mat33f mobility_at(const Mobility& body, const Vec3f& arm) {
   return w;
 }
 
-// Returns the dt with ke w dt^2 + 2 kd w dt = 4. Up to this dt, symplectic Euler is stable for a
-// mode of inverse mass w.
+// Returns the dt that solves ke w dt^2 + 2 kd w dt = 4. Up to this dt, symplectic Euler is stable
+// for a mode with the inverse mass w.
 float stable_dt(float w, float ke, float kd) {
   return w > 0.0f ? 4.0f / w / (kd + std::sqrt(kd * kd + 4.0f * ke / w))
                   : std::numeric_limits<float>::infinity();
@@ -173,7 +175,7 @@ struct DofArrays {
   articulation::StepArrays<articulation::ReadPointers<float>> arrays = {};
   const int32_t* mode;
 
-  // `q`: the coordinate of the degree of freedom; -1: no target.
+  // Returns the parameters of a degree of freedom. `q`: its coordinate; -1: no target.
   JointDof<float> at(int32_t dof, int32_t q) const {
     const auto which = static_cast<JointTargetMode>(mode[dof]);
     const bool both = which == JointTargetMode::POSITION_VELOCITY;
@@ -240,9 +242,9 @@ void JointForces::check_edits(const Model& m, const Control* control, const char
   for (size_t i = 0; i < std::size(arrays); ++i) covered_[i].set(*arrays[i]);
 }
 
-// Returns the longest stable step (s) of the attachment of one joint, in the stiffest direction for
-// either body alone. A longer step diverges regardless of the rest of the model. Infinite: the
-// joint holds no direction.
+// Returns the longest stable step (s) of one joint's attachment spring, in the stiffest direction
+// for either body alone. A longer step diverges regardless of the rest of the model. Infinite: the
+// joint has no constrained direction.
 static float joint_stable_dt(const HostJoints& m, size_t joint, const JointAttachOptions& attach) {
   float longest = std::numeric_limits<float>::infinity();
   const JointType type = m.type_of(joint);
@@ -251,7 +253,7 @@ static float joint_stable_dt(const HostJoints& m, size_t joint, const JointAttac
   const Transformf frames[2] = {m.frame[0][joint], m.frame[1][joint]};
   const int32_t bodies[2] = {m.parent[joint], m.child[joint]};
   for (int side = 0; side < 2; ++side) {
-    // Each body alone, in its own axes: both bodies together are not more stable.
+    // Each body alone, in its own axes. Both bodies together are not more stable than one.
     const Mobility body = mobility(m, bodies[side]);
     if (bodies[side] < 0 || body.linear == 0.0f) continue;
     if (dims.x == 0) {
@@ -327,7 +329,7 @@ void JointForces::evaluate(const Model& m, const SimState& state, const Control*
   for_chunks(m.joint_count(), kJointChunk, [&](int64_t begin, int64_t end, int64_t) {
     for (int64_t j = begin; j < end; ++j) {
       const size_t first = 2 * static_cast<size_t>(j);
-      if (bodies_[first + 1] < 0) continue;  // joint is disabled
+      if (bodies_[first + 1] < 0) continue;  // the joint is disabled
       const JointType type = type_of(m, static_cast<int32_t>(j));
       const JointConstraint constraint = joint_traits(type).constraint;
       JointWrench<float> wrench;
@@ -343,7 +345,7 @@ void JointForces::evaluate(const Model& m, const SimState& state, const Control*
                      : penalty_joint_wrench(frames, d, dims[j].x, dims[j].y,
                                             quaternion_at(type) == 0, attach);
       }
-      // The wrench acts about the child's center of mass, in the world frame.
+      // The wrench of joint_f acts about the child's center of mass, in the world frame.
       if (has_pose(type))
         wrench.child = wrench.child + SpatialVectorf{{d[0].force, d[1].force, d[2].force},
                                                      {d[3].force, d[4].force, d[5].force}};

@@ -1,5 +1,5 @@
-// Checks the corners of elements, for the CPU solver and before kernels run. A kernel reads a row
-// that does not exist as zeros.
+// The check of the corners of elements, for the CPU solver and before kernels run. A kernel reads a
+// row that does not exist as zeros, and thus would not report it.
 #pragma once
 
 #include <cstddef>
@@ -11,8 +11,8 @@
 
 namespace novaphy {
 
-// ErrorKind::Index, naming the array of the model and the entry: the particle does not exist. -1 is
-// allowed if `may_be_absent`.
+// Throws ErrorKind::Index, with the model's array and the entry, if a particle does not exist. -1
+// is allowed if `may_be_absent`.
 inline void check_corners(std::span<const int32_t> entries, int32_t particle_count,
                           std::string_view name, bool may_be_absent) {
   for (size_t k = 0; k < entries.size(); ++k) {

@@ -1,5 +1,5 @@
-// The inverse of a table of particles, as rows: items(p) lists the entries of the table that hold
-// p, in ascending order. Negative entries belong to no row.
+// ParticleRows: the inverse of a table of particle indices. items(p) lists the entries of the table
+// with the value p, in ascending order. Negative entries are in no list.
 #pragma once
 
 #include <cstdint>
@@ -12,9 +12,9 @@ namespace novaphy {
 
 class ParticleRows {
  public:
-  // Builds the rows again if another table comes, or the table was written since the last call.
-  // Reuses its memory. ErrorKind::Index, naming `name` and the entry: the particle does not exist.
-  // -1 is allowed if `may_be_absent`.
+  // Builds the lists again if another table is given, or if the table was written since the last
+  // call. Reuses its memory. ErrorKind::Index, with `name` and the entry: the particle does not
+  // exist. -1 is allowed if `may_be_absent`.
   void update(const Array& table, int32_t particle_count, const char* name, bool may_be_absent);
   void reset();
 

@@ -53,7 +53,7 @@ struct Terms {
   Block springs, dampers;
 };
 
-// Returns the dt with springs dt^2 + 2 dampers dt = 4.
+// Returns the dt that solves springs dt^2 + 2 dampers dt = 4.
 float longest_dt(float springs, float dampers) {
   const float d = 2.0f * dampers;
   return springs + d > 0.0f ? 8.0f / (d + std::sqrt(d * d + 16.0f * springs)) : kNone;
@@ -63,7 +63,8 @@ float enough_dt(const Terms& terms, float inv_mass) {
   Vec3f v;
   return longest_dt(terms.springs.largest(v) * inv_mass, terms.dampers.largest(v) * inv_mass);
 }
-// Returns the stable dt along one direction: the stiffest, or the one with the most damping.
+// Returns the stable dt along one direction: the smaller of the limits along the stiffest direction
+// and the direction with the most damping.
 float needed_dt(const Terms& terms, float inv_mass) {
   Vec3f stiff, damped;
   terms.springs.largest(stiff);
@@ -118,7 +119,7 @@ class Elements {
                   kd = materials[5 * e + 2], k = share(3) * area;
       const float w[3][2] = {
           {-(d[0][0] + d[1][0]), -(d[0][1] + d[1][1])}, {d[0][0], d[0][1]}, {d[1][0], d[1][1]}};
-      // The derivative of the area by a corner, divided by the rest area.
+      // Derivative of the area by the position of corner a, divided by the rest area.
       const Vec3f n = math::normalize(math::cross(at(c[1]) - at(c[0]), at(c[2]) - at(c[0])));
       for (int a = 0; a < 3; ++a) {
         const Vec3f edge = at(c[(a + 2) % 3]) - at(c[(a + 1) % 3]);
@@ -126,7 +127,7 @@ class Elements {
         const float square = w[a][0] * w[a][0] + w[a][1] * w[a][1];
         Terms& t = of(c[a]);
         t.springs.add_identity(k * ke * square);
-        // the rest area fixes this direction
+        // the rest area gives no stiffness in this direction
         if (!enough_ && ka > 0.0f) t.springs.add(-k * ke * square, n);
         t.springs.add(k * ka, by_area);
         t.dampers.add_identity(k * kd * square);
@@ -144,8 +145,8 @@ class Elements {
       const math::Hinge<float> h = math::make_hinge(x[0], x[1], x[2], x[3]);
       constexpr float kSmallest = 1e-6f;
       if (h.n1_length < kSmallest || h.n2_length < kSmallest || h.e_length < kSmallest) continue;
-      // d_a is the direction of the force on corner a. The derivative of the angle is the same
-      // without the factors of the heights.
+      // d_a is the direction of the force on corner a. The derivative of the angle has the same
+      // direction, without the factors of the heights.
       const Vec3f of_1[4] = {-h.n1 * h.e_length,
                              {},
                              -h.n1 * math::dot(x[0] - x[3], h.e),
@@ -217,7 +218,7 @@ struct Shapes {
       if (has_flag(flags[s], ShapeFlags::COLLIDE_PARTICLES) && world[s] < m.world_count())
         of_world[static_cast<size_t>(world[s] + 1)].push_back(s);
   }
-  // Calls f for each shape that a particle of the world can touch.
+  // Calls f for each shape that a particle of the world `particle_world` can touch.
   template <class F>
   void for_met(int32_t particle_world, F&& f) const {
     for (size_t w = 0; w < of_world.size(); ++w)
@@ -226,7 +227,7 @@ struct Shapes {
   }
   std::vector<float> ke, kd, kf;
   std::vector<int32_t> world;
-  std::vector<std::vector<size_t>> of_world;  // shapes of all worlds, then the shapes of each world
+  std::vector<std::vector<size_t>> of_world;  // [0]: shapes of all worlds; then one list per world
 };
 
 // Returns the inverse masses, 0 for particles that do not move.
@@ -317,7 +318,7 @@ float enough_particle_dt(const char* function, const Model& model, const SimStat
   float least = kNone;
   for (size_t p = 0; p < inv_mass.size(); ++p) {
     if (!(inv_mass[p] > 0.0f)) continue;
-    // With friction, the condition is dt^2 K + 2 dt D + 2 b m <= 4 m.
+    // With friction the condition is dt^2 K + 2 dt D + 2 b m <= 4 m, where b is kf_bound.
     const float left = slides[p] != 0 ? 4.0f / (4.0f - 2.0f * forces.kf_bound) : 1.0f;
     least = std::min(least, enough_dt(terms[p], left * inv_mass[p]));
   }

@@ -90,7 +90,7 @@ void RigidBodies::evaluate(const Model& m, const Transformf* q, const SpatialVec
       if (of_rows)
         both = rigid_contact_material_of_row(both, row_ke[row], row_kd[row], row_mu[row]);
       const float kf_of_row = both.kf;
-      if (sticks) both.kf = 0.0f;  // the stick springs replace the friction of the law
+      if (sticks) both.kf = 0.0f;  // the stick springs replace viscous friction
       RigidContactForce<float> f = rigid_contact_force(law, a, b, normal[row], both);
       if (sticks) {
         const Vec3f n = -normal[row];
@@ -119,7 +119,7 @@ void RigidBodies::add_contact_wrenches(const Model& m, const Transformf* q,
   });
 }
 
-// Wakes the bodies that contacts and forces act on.
+// Finds the bodies that sleep, after waking the bodies that contacts and forces act on.
 void RigidBodies::find_sleepers(const Model& m, const SimState& in, const Contacts* contacts,
                                 const JointForces& joints, const ParticleContacts* particles,
                                 SleepStep& sleep) {

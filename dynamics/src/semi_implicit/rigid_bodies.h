@@ -1,5 +1,6 @@
-// The rigid bodies of a step: the contact forces row by row, their sum on each body in the order of
-// the rows, then the integration of each body. The result is independent of the number of threads.
+// RigidBodies: the rigid bodies of a step. First the contact forces row by row, then their sum on
+// each body in the order of the rows, then the integration of each body. The result does not depend
+// on the number of threads.
 #pragma once
 
 #include <vector>
@@ -29,23 +30,24 @@ struct RigidStep {
 
 class RigidBodies {
  public:
-  // Checks the arrays that a step reads, and finds the contact rows of every body if the contacts
-  // differ from those of the last call. Reuses its memory. ErrorKind::Index: a contact names a
+  // Checks the arrays that a step reads. If the contacts differ from those of the last call, finds
+  // the contact rows of every body again. Reuses its memory. ErrorKind::Index: a contact names a
   // shape, a shape a body, or a body a world that does not exist. ErrorKind::Value: a row has an
   // invalid material.
   void prepare(const Model& model, const Contacts* contacts);
-  // Adds to body_f the wrenches of `joints`, which must be evaluated, and then those of the
-  // contacts. Writes the bodies of `out`, and rigid_contact_force of the prepared contacts.
-  // `particles`: the evaluated contacts between particles and bodies; null: none. `watch` checks
-  // the contacts before bodies are written. `sleep` null: no body sleeps.
+  // Steps the bodies from `in` to `out`. Adds to body_f first the wrenches of `joints`, which must
+  // be evaluated, and then those of the contacts. Also writes rigid_contact_force of the prepared
+  // contacts. `particles`: the evaluated contacts between particles and bodies; null: none. `watch`
+  // checks the contacts before bodies are written. `sleep` null: no body sleeps.
   void step(const Model& model, const SimState& in, SimState& out, const Contacts* contacts,
             const JointForces& joints, const ParticleContacts* particles, const RigidStep& how,
             ContactWatch& watch, SleepStep* sleep = nullptr);
-  // Tells that the poses written by a step were copied to `to`, from which the next step starts.
+  // Call this if the poses that a step wrote were copied to `to`, and the next step starts from
+  // `to`.
   void were_copied(const Array& from, const Array& to) { sticks_.were_copied(from, to); }
-  // Adds the wrenches of the prepared contacts to `wrenches` {body_count}, for bodies at `q` with
-  // the velocities `qd`. Writes rigid_contact_force. Uses only friction_law and friction_smoothing
-  // of `how`.
+  // Adds the wrenches of the prepared contacts to `wrenches` {body_count}, for bodies at the poses
+  // `q` with the velocities `qd`. Writes rigid_contact_force. Uses only friction_law and
+  // friction_smoothing of `how`.
   void add_contact_wrenches(const Model& model, const Transformf* q, const SpatialVectorf* qd,
                             const Contacts& contacts, const RigidStep& how,
                             SpatialVectorf* wrenches);
@@ -57,13 +59,13 @@ class RigidBodies {
   void evaluate(const Model& model, const Transformf* q, const SpatialVectorf* qd,
                 const Contacts& contacts, const RigidStep& how);
 
-  int32_t rows_ = 0;  // the number of contacts that act
+  int32_t rows_ = 0;  // number of contact rows that act
   ArrayStamp count_, shape0_, shape1_, shape_body_;
-  std::vector<int32_t> bodies_;           // of the two sides of every row; -1: the world
-  IndexRows sides_;                       // for each body
+  std::vector<int32_t> bodies_;           // bodies of the two sides of every row; -1: the world
+  IndexRows sides_;                       // rows of each body
   std::vector<SpatialVectorf> wrenches_;  // the wrench of each side on its body
   StickSprings sticks_;
-  std::vector<int32_t> forced_;  // the bodies on which joints or particles act
+  std::vector<int32_t> forced_;  // bodies on which joints or particles act
 };
 
 }  // namespace novaphy

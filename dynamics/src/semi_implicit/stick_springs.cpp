@@ -13,7 +13,7 @@ void StickSprings::begin(const Contacts& c, int32_t rows, const Array& body_q) {
   const int32_t *const shape0 = c.rigid_contact_shape0.data(),
                        *const shape1 = c.rigid_contact_shape1.data(),
                        *const id = c.rigid_contact_point_id.data();
-  // The rows of both steps are sorted by their shapes.
+  // The rows of this step and of the step before are both sorted by their shapes.
   size_t pair = 0;
   for (size_t row = 0; row < points_.size(); ++row) {
     Point& point = points_[row] = {shape0[row], shape1[row], id[row], {}};

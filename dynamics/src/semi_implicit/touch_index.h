@@ -1,4 +1,5 @@
-// The rows of a step by pair and by side, so that a step with many touches takes linear time.
+// TouchIndex: the touching contacts of a step by pair and by side, so that a step with many touches
+// takes linear time.
 #pragma once
 
 #include <cstdint>
@@ -11,14 +12,14 @@
 
 namespace novaphy::diff::detail {
 
-// A pair of shapes, or of a shape and a particle, as one number.
+// A pair of shapes, or a shape and a particle, as one number.
 using PairKey = uint64_t;
 template <class T>  // TouchRow or TouchEvent
 PairKey pair_key(const T& of) {
   return uint64_t{static_cast<uint32_t>(of.first)} << 32 | static_cast<uint32_t>(of.second);
 }
 
-// The rows that push. Indices of rows ascend.
+// The rows that push. Row indices are in ascending order.
 class TouchIndex {
  public:
   TouchIndex(int32_t bodies, int32_t particles) : bodies_(bodies), particles_(particles) {}
@@ -41,7 +42,8 @@ class TouchIndex {
     if (found == pair_numbers_.end()) return {};
     return of_pair_.items(found->second);
   }
-  // Twice the index of each row that the side belongs to, plus the place of the side in the row.
+  // Returns the rows of a side, as twice the row index plus the side's position (0 or 1) in the
+  // row.
   std::span<const int32_t> of_side(const TouchSide& side) const {
     if (!side.exists()) return {};
     return of_side_.items(number(side));

@@ -19,13 +19,14 @@ using math::dot;
 Vec3d wide(const Vec3f& a) { return {a.x, a.y, a.z}; }
 int32_t rows_of(const DeviceArray<int32_t>& of) { return static_cast<int32_t>(of.rows()); }
 
-// The normal force is n (ke d + kd min(un, 0)). The friction cone has the size mu (ke d +
-// kd_of_cone min(un, 0)).
+// Coefficients of the penalty law at the gap d and the normal velocity un. The normal force is n
+// (ke d + kd min(un, 0)). The Coulomb limit is -mu (ke d + kd_of_cone min(un, 0)).
 struct TouchLaw {
   double ke, kd, kd_of_cone, kf, mu, smoothing;
 };
 
-// The force of an overlapping contact, and its derivatives by the gap and by u.
+// The force of an overlapping contact, and its derivatives by the gap and by the relative velocity
+// u.
 struct TouchForce {
   Vec3d force{}, by_gap{};
   Columns3 by_velocity{};
@@ -63,7 +64,7 @@ TouchForce force_inside(const TouchLaw& law, const Vec3d& n, double gap, const V
 }
 
 // Evaluates the law for a row. The law acts below the gap `reach` (m). inverse_mass(direction)
-// returns the inverse mass of the contact along a unit vector.
+// returns the inverse mass (1/kg) of the contact along a unit vector.
 template <class InverseMass>
 void apply(const TouchLaw& law, const Vec3d& u, double reach, float dt,
            const InverseMass& inverse_mass, TouchRow& row) {
@@ -92,7 +93,7 @@ void apply(const TouchLaw& law, const Vec3d& u, double reach, float dt,
   for (size_t k = 0; k < 3; ++k) row.by_velocity[k] = inside.by_velocity[k] * part;
 }
 
-// The bodies of a state.
+// The bodies of a state, with their shapes' sides.
 struct TouchBodies {
   const Model& model;
   const Transformf* q;
@@ -148,7 +149,7 @@ void find_rigid(const Model& m, const StateFields& state, const ContactFields& c
     const auto at = [&](int32_t body, const Vec3f& point) {
       return body < 0 ? point : math::transform_point(bodies.q[body], point);
     };
-    // The order of operations is that of rigid_contact_force_at, for the same bits.
+    // The order of operations is that of rigid_contact_force_at, so that the bits are the same.
     const Vec3f p0 = at(b0, c.rigid_contact_point0.data()[i]) -
                      n * c.rigid_contact_margin0.data()[i],
                 p1 = at(b1, c.rigid_contact_point1.data()[i]) +

@@ -34,7 +34,7 @@ struct NOVAPHY_DYNAMICS_API AdjointRecord : nova::Tape::Witness {
     bool of_springs = false;        // penalty contacts, which push over several steps
     std::vector<Contact> contacts;  // contacts with an impulse
     std::vector<float> notes;       // a ContactNote per contact row, only while the adjoint runs
-    std::vector<Vec3f> changes;     // tangents of the impulses, by entry of `contacts`
+    std::vector<Vec3f> changes;     // tangents of the impulses, by contact row
   };
 
   nova::Tensor loss;

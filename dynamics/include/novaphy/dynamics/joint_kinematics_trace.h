@@ -15,8 +15,9 @@
 // Law: X_child = X_parent X_p J(q) X_c^-1. The functions here solve it for q. A single angle is in
 // [-pi, pi]. With two or three perpendicular axes the second angle is in [-pi/2, pi/2]. At the ends
 // of that interval the axes lie in a plane (gimbal lock), and the rates use a determinant of 1e-4
-// instead of 0. Source: Featherstone, Rigid Body Dynamics Algorithms (2008), section 4.4;
-// coordinates of Newton 1.8.0.
+// instead of 0.
+// Source: Featherstone, Rigid Body Dynamics Algorithms (2008), section 4.4; coordinates of Newton
+// 1.8.0.
 //
 // Freestanding: templates over the scalar. No gradient is used. The formulas are smooth except
 // where angles jump or the axes lie in a plane.

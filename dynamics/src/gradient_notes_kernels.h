@@ -43,7 +43,7 @@ struct NoteSoftContactsArguments {
                     Detached<Reads<Vec3f>> shape_scale; Detached<Reads<float>> radius;
                     Optional<Detached<Reads<float>>> margin;  // null: not part of the law
                     Part<SoftModes> modes;
-                    Number<float> slip;       // m/s; > 0: slower contacts stick
+                    Number<float> slip;       // m/s; > 0: contacts with less slip stick
                     Number<int64_t> follows;  // points and normals move with the particles
                     Number<int64_t> shapes;)
 };

@@ -26,9 +26,9 @@ class SleepStep {
       : config_(config), in_joints_(in_joints) {}
 
   void begin(const Model& model, const SimState& in);
-  // `bodies`: the two bodies of each of the first contacts, one after the other. Two bodies touch
-  // if they are nearer than the mean adhesion distance of their shapes, or would be after `ahead`
-  // (s) of free fall.
+  // Wakes bodies that touch moving bodies. `bodies`: the two bodies of each of the first contacts,
+  // one after the other. Two bodies touch if they are nearer than the mean adhesion distance of
+  // their shapes, or would be after `ahead` (s) of free fall.
   void wake_touched(const Model& model, const SimState& in, const Contacts& contacts,
                     std::span<const int32_t> bodies, float ahead);
   // Returns whether this step ignores the contacts of the body: the search assumed that the body

@@ -59,7 +59,7 @@ struct ContactEvents {
   std::vector<ContactEvent> events;
   std::vector<int32_t> hits;  // contact rows, ascending
   std::vector<char> touched;  // {trees}: 1 if contacts push the tree; empty: none
-  std::vector<int32_t> root;  // {trees}: first tree of the island; empty: each tree is an island
+  std::vector<int32_t> root;  // {trees}: the first tree of its island; empty: each tree is isolated
   std::vector<int32_t> limits;  // dofs whose limits hit
   std::vector<LandedRow> landed;
   // Events and groups that landed in the step before and whose friction has changed: it slides in

@@ -262,7 +262,7 @@ void SolverFeatherstone::step(SimState& state_in, SimState& state_out, const Con
   mark_unrecorded_step(m, state_in, state_out, control);
 }
 
-// Finishes a step that ran at once. A failed articulation gets its earlier rows of the state back.
+// Finishes a step that ran at once. A failed articulation gets the rows back that `to` had before.
 void SolverFeatherstone::finish(const Contacts* contacts, const Control* control,
                                 const SimState& from, SimState& to, float dt) {
   Cache& c = *cache_;

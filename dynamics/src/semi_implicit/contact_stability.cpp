@@ -23,7 +23,7 @@ namespace {
 
 constexpr float kNone = std::numeric_limits<float>::infinity();
 
-// True for the steps 1, 2, 4, 8, ..., 1024, 2048, 3072, ...
+// Returns true for the steps 1, 2, 4, 8, ..., 1024, 2048, 3072, ...
 bool is_rare(uint64_t step) {
   constexpr uint64_t kOften = 1024;
   return std::has_single_bit(step) || step % kOften == 0;

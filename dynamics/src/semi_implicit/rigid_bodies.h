@@ -63,7 +63,7 @@ class RigidBodies {
   ArrayStamp count_, shape0_, shape1_, shape_body_;
   std::vector<int32_t> bodies_;           // bodies of the two sides of every row; -1: the world
   IndexRows sides_;                       // rows of each body
-  std::vector<SpatialVectorf> wrenches_;  // the wrench of each side on its body
+  std::vector<SpatialVectorf> wrenches_;  // wrench on the body of each side of each row
   StickSprings sticks_;
   std::vector<int32_t> forced_;  // bodies on which joints or particles act
 };

@@ -45,7 +45,7 @@ struct NotedStep {
   // The following members are set only for steps with penalty contacts of bodies
   // (diff_noted_springs.h). Other steps have zeros and operands without a range.
   float dt = 0.0f;       // s
-  nova::Operand wrench;  // {bodies, 6}: sum of all wrenches, with its gradient
+  nova::Operand wrench;  // {bodies, 6}: the sum of all wrenches; the tape keeps its gradient
   nova::Operand q_next, qd_next;  // {bodies, 7 and 6}: the state after the step
 };
 

@@ -35,7 +35,7 @@ struct StepInputs {
     int32_t step = 0;               // the step goes from state `step` to the next
     bool next_is_kept = false;      // whether the state after the step is kept
     bool is_recomputed = false;     // whether Trajectory::recompute repeats the step
-    std::map<int32_t, Array> kept;  // memory that the solver carries on, at kept states
+    std::map<int32_t, Array> kept;  // copies of SolverBase::carried() by kept state
   };
   std::shared_ptr<Checkpoints> checkpoints;  // null: all states are kept, or no rollout
 };
@@ -63,9 +63,9 @@ class NOVAPHY_DYNAMICS_API DiffSolverBase : public SolverBase {
   virtual bool only_submits() const { return false; }
   // Checks and prepares a rollout. Returns false if no step has an effect.
   virtual bool begin_rollout(const RolloutInputs& inputs) = 0;
-  // Submits the launches of one step from `in` to `out`. The step overwrites the moving arrays of
-  // `out` completely. Forces come from `inputs`, not from `in`. A custom operation needs a
-  // `forward` function, else trajectories with checkpoints are refused.
+  // Submits the launches of one step from `in` to `out`. The step overwrites all arrays of `out`
+  // except the applied forces. Forces come from `inputs`, not from `in`. A custom operation needs
+  // a `forward` function, else trajectories with checkpoints are refused.
   virtual void record_step(const SimState& in, SimState& out, const StepInputs& inputs,
                            StepScratch scratch) = 0;
 };

@@ -78,7 +78,7 @@ JointAngles<T> joint_angles(const Quat<T>& r, const Vec3<T>* axis, int count) {
   a.dual[0] = n * inverse;
   a.dual[1] = cross(r2, a0) * inverse;
   a.dual[2] = cross(a0, e1) * inverse;
-  // The third axis may have the opposite direction.
+  // The given third axis may be a2 or -a2.
   const T side = count == 3 ? select(dot(axis[2], a2) < T(0.0f), T(-1.0f), T(1.0f)) : T(1.0f);
   a.q[2] = a.q[2] * side;
   a.dual[2] = a.dual[2] * side;

@@ -17,7 +17,7 @@ inline constexpr float kSlides = 1e-5f;      // relative: this close to the fric
                                              // sliding
 inline constexpr double kRegularity = 1e-5;  // regularization of redundant rows, relative to their
                                              // diagonal
-inline constexpr float kLeastSlip = 1e-6f;   // m/s
+inline constexpr float kLeastSlip = 1e-6f;   // m/s: slower dofs and contacts do not slip
 inline constexpr float kConverged = 1e-5f;   // m/s, convergence of shifts (pgs.h)
 
 inline float tangent_length(float x, float y) { return math::sqrt(x * x + y * y); }

@@ -37,7 +37,7 @@ struct ArticulatedLink {
 template <class T>
 struct ArticulatedDof {
   Vec3<T> axis{};           // axis of S, which is linear or angular
-  SpatialVector<T> gain{};  // K
+  SpatialVector<T> gain{};  // K = P S D^-1
   T inverse{};              // 1 / D
 };
 template <class T>

@@ -53,7 +53,7 @@ DualFloat dual_slip(const DualContact& row, int r, const Trees& trees, const Dua
   }
   return sum;
 }
-// Returns J_i Y_j.
+// Returns the coupling J_i Y_j of row i of contact a and row j of contact b.
 inline double dual_coupling(const DualContact& a, int i, const DualContact& b, int j) {
   double sum = 0.0;
   for (const DualSide& s : a.moved)

@@ -70,7 +70,7 @@ struct DofMotion {
   SpatialVector<T> psi{}, psi_rate{}, sigma{};
 };
 
-// Memory: `motions` {dofs}, `biases` {links}.
+// Memory for the derivatives: `motions` {dofs}, `biases` {links}.
 template <class T>
 struct DerivativeWorkspace {
   DofMotion<T>* motions = nullptr;

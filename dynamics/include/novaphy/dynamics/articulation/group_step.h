@@ -36,7 +36,7 @@ struct ArticulationContactStepArguments {
 inline int64_t island_contact_bytes(int32_t dofs) {
   namespace art = articulation;
   const int64_t joined = static_cast<int64_t>(sizeof(art::IslandContact)) + contact_row_bytes(dofs);
-  // n contacts need at most n times the memory of one; A is {3 n, 3 n}.
+  // A of n <= kCoupledContacts contacts has 9 n^2 entries, at most 9 kCoupledContacts per contact.
   const int64_t coupling = art::kCoupledContacts * 9 * static_cast<int64_t>(sizeof(float));
   const int64_t alone =
       static_cast<int64_t>(sizeof(art::TreeContact<float>) + sizeof(art::TreeContactLink<float>)) +

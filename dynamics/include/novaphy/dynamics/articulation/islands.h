@@ -34,7 +34,7 @@ template <class TreeRows>
 bool set_widths(const TreeRows* trees, const ContactSide* sides, int32_t* widths) {
   for (int side = 0; side < 2; ++side)
     widths[side] = sides[side].tree < 0 ? 0 : padded_dofs(trees[sides[side].tree].dof_count);
-  if (sides[0].tree == sides[1].tree) widths[1] = 0;  // one row has both sides
+  if (sides[0].tree == sides[1].tree) widths[1] = 0;  // side 0 then has the rows of both sides
   return moves(trees, sides[0]) || moves(trees, sides[1]);
 }
 

@@ -135,7 +135,7 @@ template <class T>
 Four<T> four(const T* x) {
   return {{x[0], x[1], x[2], x[3]}};
 }
-// Returns to + x y.
+// Returns to + x y, entry by entry.
 template <class T>
 Four<T> add_product(const Four<T>& to, const Four<T>& x, const Four<T>& y) {
   Four<T> sum = to;
@@ -167,7 +167,7 @@ struct PgsNumbers {
   T normal{}, apart{};                       // J_n Y_n; the sum of both sides without their
                                              // coupling
   T mass{};                                  // m, kg
-  T reach{};                                 // largest entry of Y_n
+  T reach{};                                 // largest absolute entry of Y_n
   T tangent[3] = {};                         // t1 t1, t1 t2, t2 t2 of J Y
   T normal_step{}, bound{}, tangent_step{};  // 1 / (J_n Y_n + cfm), s, 1 / s
   T impulse[3] = {};                         // along n, t1, t2
@@ -186,7 +186,7 @@ T slip(const PgsContact<T>& c, int32_t row) {
     if (s.width > 0) v = v + row_dot(s.jacobian + row * s.width, s.rates, s.width);
   return v;
 }
-// Returns J_n (v' + p).
+// Returns J_n (v' + p), the normal velocity with shifts.
 template <class T>
 T moving_slip(const PgsContact<T>& c) {
   T v = slip(c, 0);
@@ -200,7 +200,7 @@ void push(const PgsContact<T>& c, int32_t row, const T& impulse) {
     if (s.response != nullptr) add_row(s.response + row * s.width, impulse, s.width, s.rates);
   }
 }
-// Returns J_i Y_j.
+// Returns J_i Y_j, the change of velocity along row i per impulse along row j.
 template <class T>
 T row_product(const PgsContact<T>& c, int32_t i, int32_t j) {
   T sum = T(0.0f);
@@ -228,7 +228,7 @@ void set_diagonals(PgsContact<T>& c) {
   c.tangent[1] = row_product(c, 1, 2);
   c.tangent[2] = row_product(c, 2, 2);
 }
-// Returns the largest eigenvalue of the tangents' block.
+// Returns s, the largest eigenvalue of the tangents' 2 x 2 block of J Y.
 template <class T>
 T tangent_bound(const PgsNumbers<T>& c) {
   const T half = T(0.5f), d = (c.tangent[0] - c.tangent[2]) * half;

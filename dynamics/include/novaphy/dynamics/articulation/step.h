@@ -248,7 +248,7 @@ bool next_held_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOpt
   return changes;
 }
 
-// Computes v = qd + dt qdd.
+// Computes the new rates v = qd + dt qdd in ws.qd_next.
 template <class T>
 void free_rates(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                 Workspace<T>& ws) {
@@ -359,7 +359,7 @@ bool renew_branches(const Tree<T>& tree, const StepInputs<T>& in, const StepOpti
   return changes;
 }
 
-// Calls accelerate, and computes the undamped new rates.
+// Computes the accelerations, and the new rates before angular damping.
 template <class T>
 int32_t forward_step(const Tree<T>& tree, const StepInputs<T>& in, const StepOptions<T>& options,
                      Workspace<T>& ws) {

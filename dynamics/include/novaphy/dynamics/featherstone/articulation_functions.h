@@ -35,7 +35,7 @@ struct ArticulationMatrices {
 };
 
 // Returns the forces {dofs} (N, N m) that give the accelerations qdd {dofs}. With qdd = 0 the
-// result is the bias: Coriolis and centrifugal forces minus gravity.
+// result is the bias: Coriolis and centrifugal forces minus gravity forces.
 NOVAPHY_DYNAMICS_API std::vector<float> eval_inverse_dynamics(const Model& model,
                                                               const SimState& state,
                                                               std::span<const float> qdd);

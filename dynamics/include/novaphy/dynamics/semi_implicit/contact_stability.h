@@ -79,7 +79,7 @@ class NOVAPHY_DYNAMICS_API ContactWatch {
   // Hashes of the objects that touch a body now and that have touched it; 0: none.
   struct Touched {
     uint32_t now = 0, seen[4] = {};
-    int32_t next = 0;      // next entry of `seen`
+    int32_t next = 0;      // entry of `seen` to overwrite next
     int32_t changed = -1;  // index among the changed bodies; -1: unchanged
   };
   // The deepest supporting contact of a body (m), and the weight that contact springs carry (N).

@@ -155,7 +155,7 @@ Vec3<T> rotation_vector(const Quat<T>& r) {
   return {r.x * scale, r.y * scale, r.z * scale};
 }
 
-constexpr float kAngularDamping = 0.01f;  // of c
+constexpr float kAngularDamping = 0.01f;  // times c
 
 // Returns the moment on the parent for two or three perpendicular angular axes.
 template <class T>

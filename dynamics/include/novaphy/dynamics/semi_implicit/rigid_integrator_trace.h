@@ -46,7 +46,7 @@ struct RigidBodyMass {
   Mat33<T> inertia{}, inv_inertia{};
 };
 
-// Returns unit(q + 1/2 (w, 0) q dt).
+// Returns the orientation q after dt (s): unit(q + 1/2 (w, 0) q dt).
 template <class T>
 Quat<T> integrate_orientation(const Quat<T>& q, const Vec3<T>& w, const T& dt) {
   using namespace math;

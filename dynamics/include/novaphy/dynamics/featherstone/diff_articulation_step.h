@@ -25,11 +25,12 @@
 // with the step and the pair. On devices the error comes from the next step or rollout that waits.
 // Captures do not report the error.
 //
-// Contact points and normals move as the collision search moves them (moving_contact_trace.h) for
-// planes with all shapes, and for spheres, capsules and boxes with each other. For this the
-// contacts must come from the state of the step (FoundContacts). All other points are constant in
-// the frames of their bodies, and all other normals are constant in the world ("frozen").
-// ContactBranches counts these steps separately. The set of contacts is not differentiated.
+// Contact points and normals move as the collision search moves them, for the features of
+// moving_contact_trace.h. These are planes with all shapes, spheres, capsules and boxes with each
+// other, and nearest points of cylinders, cones and ellipsoids. For this the contacts must come
+// from the state of the step (FoundContacts). All other points are constant in the frames of their
+// bodies, and all other normals are constant in the world ("frozen"). ContactBranches counts these
+// steps separately. The set of contacts is not differentiated.
 //
 // Dry friction of joints (joint_friction) is handled in the same way; a step with dry friction
 // counts as a step with contacts. On the CPU a capture records these steps and adjoints as work of
@@ -37,7 +38,7 @@
 //
 // Models on devices: steps, adjoints and tangents have the bits of the CPU, and captures record
 // their launches. If an island's linear system exceeds its memory on the device
-// (launched_contacts_vjp.cpp), its gradients and tangents are NaN, and `check` throws.
+// (contact_steps_vjp.cpp), its gradients and tangents are NaN, and `check` throws.
 #pragma once
 
 #include <cstdint>

@@ -8,12 +8,12 @@
 //
 // The gradient of each input:
 //   body_q, body_qd, body_f; particle_q, particle_qd, particle_f    through the forces: exact. The
-//       points and normals of planes, spheres, capsules and boxes move with both bodies
-//       (moving_contact_trace.h; contact_gradients.h finds these rows). Contacts of other shapes
-//       are frozen: points stay in the frames of their bodies and normals in the world
-//       (docs/coverage.md). Rows that were not found from the present state of the step are all
-//       frozen (Contacts::rigid_contacts_found_from). Points and normals of particle contacts move
-//       if a rollout finds them in every step (for hulls and meshes as if the face were a plane);
+//       points and normals of the features in moving_contact_trace.h move with both bodies
+//       (contact_gradients.h finds these rows). All other contacts are frozen: points stay in the
+//       frames of their bodies and normals in the world (docs/coverage.md). Rows that were not
+//       found from the present state of the step are all frozen
+//       (Contacts::rigid_contacts_found_from). Points and normals of particle contacts move if a
+//       rollout finds them in every step (for hulls and meshes as if the face were a plane);
 //       otherwise they are frozen
 //   model: body_com, particle_radius, shape_material_ke, _kd, _kf, _mu    exact
 //   contacts: rigid_contact_stiffness, _damping, _friction    exact where > 0, else 0

@@ -7,17 +7,19 @@
 namespace novaphy::vbd {
 namespace {
 
-// Rows that a thread takes at a time.
+// Number of bodies, trees or rows that a thread takes at a time.
 constexpr uint32_t kBodies = 32, kTrees = 4, kRows = 256;
 
-// The kernels have no code for devices. Each has arguments of its own type.
+// Returns the Kernel of a row kernel, without code for devices. The argument type of each row
+// kernel is different, so each gets its own object.
 template <class A>
 const Kernel<A>& kernel_of(const RowKernel<A>& kernel) {
   static const auto& made = *new Kernel<A>(kernel, nullptr);
   return made;
 }
 
-// Its arguments are those of vbd_body_tree.
+// Returns the Kernel of vbd_body_take, which has the argument type of vbd_body_tree and needs a
+// separate object.
 const Kernel<VbdBodyTreeArguments>& take() {
   static const auto& made =
       *new Kernel<VbdBodyTreeArguments>(kInChunks<vbd_body_take, kTrees>, nullptr);
@@ -73,7 +75,7 @@ VbdBodyRows Bodies::rows() {
           .slip = options_.friction_epsilon * dt_};
 }
 
-// Runs the colors, the trees and the multipliers of an iteration.
+// Runs one iteration: the colors of bodies, the trees, and the update of the multipliers.
 void Bodies::iterate() {
   for (size_t c = 0; c + 1 < graph_.colors.begin.size(); ++c) {
     const std::span<const int32_t> bodies = graph_.colors.of(static_cast<int32_t>(c));
@@ -105,9 +107,9 @@ void Bodies::iterate() {
        .joint = direct(joint_)});
 }
 
-// Sets the values of contact rows and joint rows that depend on the graph of bodies. Bodies that
-// form a tree are solved directly, so their rows get a stiff iteration. Bodies that form cycles are
-// solved by sweeps, which need a softer iteration.
+// Sets the values of contacts and joints that depend on the graph of bodies. If the rows of a tree
+// close no cycle, the tree solver is direct, and the penalty stiffness rho can be high. If rows
+// close cycles, the sweeps over colors need a lower rho.
 void Bodies::put_graph() {
   constexpr float kSofter = 0.1f;
   for (size_t k = 0; k < pairs_.size(); ++k) {

@@ -1,5 +1,6 @@
-// The rigid bodies of SolverVBD: their rows, colors and trees, their memory, and a step, on the
-// CPU. The kernels are in bodies_kernels.h.
+// The rigid bodies of SolverVBD on the CPU: the constraint rows between bodies (contacts and
+// joints), the order in which an iteration visits the bodies, the memory, and a step. The kernels
+// are in bodies_kernels.h.
 #pragma once
 
 #include <algorithm>
@@ -20,30 +21,33 @@
 
 namespace novaphy::vbd {
 
-// The multipliers of a contact, found again by its shapes and its feature.
+// The multipliers of a contact from the previous step. The next step finds them by the shapes and
+// the feature.
 struct alignas(16) ContactMemory {
   int32_t shape[2] = {-1, -1};
   int32_t point = -1;
   float lam_n = 0.0f;
   Vec3f lam_t{};
-  float is_used = 0.0f;  // 0: no contact
+  float is_used = 0.0f;  // 0: this entry holds no contact
   Vec3f normal{};
   float unused = 0.0f;
 };
 
-// The multipliers of a joint in the axes of its parent, and the angle with all turns.
+// The multipliers of a joint from the previous step, in the axes of the parent body, and the joint
+// angle (rad), which counts whole turns.
 struct alignas(16) JointMemory {
   Vec3f lam{};
   float coordinate = 0.0f;
   Vec3f lam_turn{};
-  float is_used = 0.0f;  // 0: no step before
+  float is_used = 0.0f;  // 0: no previous step
   float axis[4] = {};
 };
 
-// Lists of numbers, one after the other.
+// Lists of integers, stored one after the other. The list of key k is items[begin[k]] to
+// items[begin[k + 1] - 1].
 struct BodyLists {
   std::vector<int32_t> begin, items;
-  // Makes a list for each of `count` keys from pairs (key, number), in their order.
+  // Makes a list for each of `count` keys from pairs (key, item). The items keep their order.
   void build(int32_t count, std::span<const std::pair<int32_t, int32_t>> pairs);
   std::span<const int32_t> of(int32_t key) const {
     const auto k = static_cast<size_t>(key);
@@ -53,31 +57,35 @@ struct BodyLists {
 
  private:
   std::vector<int32_t> keys_;
-  IndexRows places_;  // in `pairs`, of each key
+  IndexRows places_;  // indices into `pairs`, for each key
 };
 
-// The order in which an iteration visits the bodies, from the pairs of bodies that share rows.
+// The order in which an iteration visits the bodies. A graph of the bodies has an edge for each
+// row, which is a contact or joint between two bodies. A tree is a spanning tree of a connected
+// component of this graph.
 class BodyGraph {
  public:
-  // `pairs`: the bodies of each row, joints first; -1: the world or a body that does not move. The
-  // row k has the number that `numbers` says, 4 times its index plus 2 for a contact. The
-  // first `acting` rows act at the first guess; the others close no cycle.
+  // `pairs`: the two bodies of each row, joints first; -1: the world or a kinematic body.
+  // numbers[k] identifies row k: 4 times the index of the joint or contact, plus 2 for a contact.
+  // Only the first `acting` rows have a force at the initial guess. The remaining rows do not count
+  // for cycles.
   void build(int32_t bodies, std::span<const std::array<int32_t, 2>> pairs,
              std::span<const int32_t> numbers, size_t acting);
-  // Returns whether both bodies move and the row is no edge of a tree.
+  // Returns whether both bodies move and no edge of a tree connects them.
   bool is_outside(const std::array<int32_t, 2>& pair) const {
     return pair[0] >= 0 && pair[1] >= 0 && parent_[index(pair[0])] != pair[1] &&
            parent_[index(pair[1])] != pair[0];
   }
 
-  // Returns whether the rows of the bodies' tree close cycles.
+  // Returns whether the tree of these bodies has rows that close cycles.
   bool has_cycles(const std::array<int32_t, 2>& pair) {
     return has_cycles_[index(root_of(std::max(pair[0], pair[1])))] != 0;
   }
 
-  BodyLists rows;    // of each body
+  BodyLists rows;    // items (see VbdBodyRows) of each body
   BodyLists colors;  // the bodies of each color
-  // The nodes of the trees, over all bodies that have rows.
+  // The bodies of the trees, for all bodies with rows: each node's body and parent node, and the
+  // first node of each tree.
   std::vector<int32_t> nodes, node_parent, tree_first;
 
  private:
@@ -90,23 +98,24 @@ class BodyGraph {
   BodyLists neighbors_, tree_neighbors_;
   std::vector<std::pair<int32_t, int32_t>> pairs_;
   std::vector<int32_t> order_, color_, root_, parent_, node_of_;
-  std::vector<char> has_cycles_;  // of the root of each tree
+  std::vector<char> has_cycles_;  // of each tree, at the index of its root
 };
 
 class Bodies {
  public:
-  // Errors as for the constructor of SolverVBD.
+  // Errors: as for the constructor of SolverVBD.
   Bodies(const Model& m, const VbdOptions& o);
 
-  // Makes room for the multipliers of so many contacts.
+  // Allocates memory for the multipliers of `contacts` contacts.
   void reserve(int32_t contacts);
-  // Solves a step, after reserve(). Errors as for SolverVBD::step.
+  // Solves a step of dt (s). Call reserve() before. Errors: as for SolverVBD::step.
   void solve(const SimState& in, const Control* control, const Contacts* contacts, float dt);
-  // Writes the poses and velocities, the forces of the contacts and the memory of the solver.
+  // Writes the poses and velocities to `out`, the forces to `contacts`, and the multipliers to the
+  // memory.
   void finish(const SimState& in, const SimState& out, const Contacts* contacts);
   void reset() { memory_.zero(); }
-  // The rows of four floats that a solver carries: `particles` rows for the particles, the last
-  // velocities of the bodies, the joints, the contacts.
+  // Returns the rows of 4 floats that the solver carries to the next step: rows of the particles,
+  // the previous velocities of the bodies, the joints, and the contacts.
   const DeviceArray<Vec4f>& memory() const { return memory_; }
   DeviceArray<Vec4f> of_particles() const;
 
@@ -151,7 +160,7 @@ class Bodies {
   std::vector<VbdBodyContact> contact_;
   std::vector<VbdBodyJoint> joint_;
   std::vector<VbdBodyNode> node_;
-  std::vector<int32_t> contact_slots_, joints_;  // where the rows come from
+  std::vector<int32_t> contact_slots_, joints_;  // the contact slot or joint of each row
   std::vector<int32_t> recalled_;                // rows of the memory, sorted by contact
   std::vector<std::array<int32_t, 2>> pairs_, built_pairs_;
   std::vector<int32_t> numbers_, built_numbers_;

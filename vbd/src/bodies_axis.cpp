@@ -13,7 +13,7 @@ constexpr float kUnlimited = 1e10f;
 
 }  // namespace
 
-// Puts the rows of the axis, and the limits of a distance.
+// Sets the rows along the joint axis, or the limits of a DISTANCE joint.
 void Bodies::put_axis(size_t joint, const SimState& in, const Control* control, VbdBodyJoint& to) {
   const auto dof = static_cast<size_t>(model_.joint_qd_start.data()[joint]);
   if (to.kind == VbdBodyJointKind::Distance) return put_distance(dof, to);
@@ -23,7 +23,8 @@ void Bodies::put_axis(size_t joint, const SimState& in, const Control* control, 
   put_resistance(dof, joint_rate(in, to), to);
 }
 
-// The rows of a rope and of a strut.
+// Sets the two rows of a DISTANCE joint: the upper limit only pulls (a rope), and the lower limit
+// only pushes (a strut).
 void Bodies::put_distance(size_t dof, VbdBodyJoint& to) const {
   const float low = model_.joint_limit_lower.data()[dof];
   const float high = model_.joint_limit_upper.data()[dof], length = math::length(to.gap);
@@ -33,8 +34,8 @@ void Bodies::put_distance(size_t dof, VbdBodyJoint& to) const {
     put_row(to.rows[1], kInf, low - kVbdKeptError * std::max(0.0f, low - length), 0.0f, kInf);
 }
 
-// Puts damping and armature as one row, the nearest limit, and dry friction. A limit damps where
-// the coordinate is outside at the start.
+// Sets three rows: damping and armature as one, the nearer limit, and dry friction. A limit has
+// damping only if the coordinate is outside of the limit at the start of the step.
 void Bodies::put_resistance(size_t dof, float rate, VbdBodyJoint& to) const {
   const Model& m = model_;
   const float h = dt_, q = to.coordinate;

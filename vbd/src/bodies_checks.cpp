@@ -1,4 +1,5 @@
-// What the bodies of SolverVBD do not support, and the checks of their steps.
+// Checks of the bodies of SolverVBD: features that are not supported, and the inputs and results of
+// a step.
 #include <cmath>
 
 #include "bodies.h"
@@ -24,7 +25,7 @@ void check_joints(const Model& m) {
   }
 }
 
-// Numbers of degrees of freedom that rows do not have.
+// Raises an error for properties of degrees of freedom that the rows of VBD do not support.
 void check_dofs(const Model& m, const Control* control) {
   const float* const act = (control != nullptr ? control->joint_act : m.joint_act).data();
   const float* const force = (control != nullptr ? control->joint_f : m.joint_f).data();
@@ -101,7 +102,7 @@ void Bodies::check_step(const SimState& in, const Contacts* contacts) const {
   }
 }
 
-// Runs before the step writes its results.
+// Called before the step writes its results.
 void Bodies::check_result() const {
   for (size_t b = 0; b < motion_.size(); ++b)
     require(std::isfinite(math::dot(motion_[b].moved, motion_[b].moved) +

@@ -1,4 +1,4 @@
-// The contacts of a step of bodies, and their multipliers from step to step.
+// The contacts of a step of bodies, and their multipliers, which the next step starts from.
 #include <algorithm>
 #include <tuple>
 
@@ -28,7 +28,7 @@ void Bodies::put_contacts(const SimState& in, const Contacts& contacts) {
   });
   const auto count = at(*contacts.rigid_contact_count.data());
   for (size_t slot = 0; slot < count; ++slot) put_contact(in, contacts, slot);
-  // Contacts that push at the first guess stand first, so that trees follow them.
+  // Contacts that push at the initial guess come first, so that the trees use them as edges.
   for (const bool pushes : {true, false}) {
     for (size_t k = 0; k < contact_.size(); ++k) {
       const VbdBodyContact& c = contact_[k];
@@ -91,7 +91,8 @@ void Bodies::put_contact(const SimState& in, const Contacts& contacts, size_t sl
   contact_slots_.push_back(static_cast<int32_t>(slot));
 }
 
-// Starts from the multipliers of the step before, if the normal has hardly turned.
+// Starts from the multipliers of the previous step, if the direction of the normal has hardly
+// changed.
 void Bodies::recall_contact(const Contacts& contacts, size_t slot, VbdBodyContact& to) {
   const auto* const memory = memory_at<ContactMemory>(contacts_at());
   const std::tuple key(contacts.rigid_contact_shape0.data()[slot],
@@ -108,7 +109,7 @@ void Bodies::recall_contact(const Contacts& contacts, size_t slot, VbdBodyContac
   to.lam_t = within(along * kRecall, to.mu * to.lam_n);
 }
 
-// Keeps the multipliers, and writes the forces on the shapes B.
+// Stores the multipliers for the next step, and writes the forces on shape B of each contact.
 void Bodies::keep_contacts(const Contacts* contacts) {
   auto* const memory = memory_at<ContactMemory>(contacts_at());
   for (size_t k = 0; k < contact_rows_ && (k < contact_.size() || memory[k].is_used != 0.0f); ++k)

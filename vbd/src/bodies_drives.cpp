@@ -1,9 +1,9 @@
-// The drives of the axes of joints (JointTargetMode).
+// The drives of joint axes (JointTargetMode).
 #include "bodies_side.h"
 
 namespace novaphy::vbd {
 
-// Puts the drive of an axis: a spring and a damper as one row within the effort limit.
+// Sets the row of a drive: a spring and a damper together, bounded by the effort limit.
 void Bodies::put_drive(size_t dof, size_t coordinate, const Control* control,
                        VbdBodyJoint& to) const {
   const Model& m = model_;

@@ -33,7 +33,8 @@ int32_t BodyGraph::root_of(int32_t body) {
   return body;
 }
 
-// Finds a spanning forest: the first rows that close no cycle. A tree begins at its first body.
+// Finds a spanning forest. Its edges are the rows that close no cycle with earlier rows. The root
+// of a tree is its body with the lowest index.
 void BodyGraph::find_trees(int32_t bodies, std::span<const std::array<int32_t, 2>> pairs) {
   root_.resize(index(bodies));
   std::iota(root_.begin(), root_.end(), 0);
@@ -68,8 +69,8 @@ void BodyGraph::find_trees(int32_t bodies, std::span<const std::array<int32_t, 2
   }
 }
 
-// Colors the bodies of the trees that rows close to cycles, greedily, in the order of falling
-// numbers of neighbors.
+// Colors the bodies of trees whose rows close cycles. The coloring is greedy, and starts with the
+// bodies that have the most neighbors.
 void BodyGraph::find_colors(int32_t bodies, std::span<const std::array<int32_t, 2>> pairs) {
   has_cycles_.assign(index(bodies), 0);
   for (const auto& pair : pairs)

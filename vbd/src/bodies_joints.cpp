@@ -1,4 +1,4 @@
-// The joints of a step of bodies, and their multipliers from step to step.
+// The joints of a step of bodies, and their multipliers, which the next step starts from.
 #include <algorithm>
 #include <cmath>
 
@@ -27,7 +27,7 @@ VbdBodyJointKind kind_of(JointType type) {
   }
 }
 
-// Sets the stiffness of the iteration from the mobility of the bodies.
+// Sets the penalty stiffness rho of a joint from the inverse effective masses of its bodies.
 void put_metric(const BodySide& a, const BodySide& b, float dt, VbdBodyJoint& to) {
   float w = 0.0f, turning = 0.0f;
   for (const Vec3f& e : {Vec3f{1.0f, 0.0f, 0.0f}, {0.0f, 1.0f, 0.0f}, {0.0f, 0.0f, 1.0f}}) {
@@ -87,7 +87,7 @@ void Bodies::put_joints(const SimState& in, const Control* control) {
   }
 }
 
-// Returns the rate of the coordinate at the start of the step.
+// Returns the rate of the joint coordinate at the start of the step (rad/s or m/s).
 float Bodies::joint_rate(const SimState& in, const VbdBodyJoint& j) const {
   const auto twist = [&](int side) {
     return j.body[side] < 0 ? SpatialVectorf{} : in.body_qd.data()[j.body[side]];
@@ -98,7 +98,8 @@ float Bodies::joint_rate(const SimState& in, const VbdBodyJoint& j) const {
                                   (a.linear + math::cross(a.angular, j.arm[0] + j.gap)));
 }
 
-// Returns the coordinate at the start of the step. An angle is that nearest to the last.
+// Returns the joint coordinate at the start of the step (rad or m). An angle is the value nearest
+// to the angle of the previous step.
 float Bodies::joint_coordinate(size_t joint, const VbdBodyJoint& j) const {
   if (j.kind == VbdBodyJointKind::Prismatic) return math::dot(j.axis[0], j.gap);
   const Vec3f v = {j.turned.x, j.turned.y, j.turned.z};

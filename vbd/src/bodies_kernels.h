@@ -1,10 +1,12 @@
 // A step of rigid bodies in VBD as kernels (row_kernel.h). The laws are in vbd/bodies/.
 //
-// An iteration solves all bodies of a tree together: vbd_body_tree. The edges of the trees are
-// joints and contacts. Other rows between two bodies count twice in the blocks, which bounds their
-// coupling from above. The kernel vbd_body_take shortens a step whose end lies far behind the
-// minimum of the energy along the step. Where rows close cycles, the iteration first visits the
-// colors of the bodies: vbd_body_move solves the 6x6 block of each body. At last the rows update
+// An iteration solves all bodies of a tree together (vbd_body_tree). The edges of the trees are
+// joints and contacts. A row between two bodies that is not an edge counts twice in the stiffness
+// of both bodies. This bounds the coupling that the tree leaves out from above.
+//
+// vbd_body_take shortens a step that goes far beyond the minimum of the energy along the step. If
+// the rows of a tree close cycles, the iteration first visits the bodies color by color:
+// vbd_body_move solves the 6x6 system of each body. At the end of an iteration the rows update
 // their multipliers.
 #pragma once
 
@@ -21,12 +23,14 @@ struct VbdBodyPredictArguments {
                     ReadsRow<int32_t> is_held, world; Reads<Vec3f> gravity;
                     Number<int64_t> last_world; Number<float> h;
                     Number<int64_t> guess;  // VbdInitialGuess
-                    // The velocity before the last step, and the number 1. Null: not needed.
+                    // The velocity at the start of the previous step, and the number 1 (0: no
+                    // previous step). Null: the adaptive guess is not used.
                     Optional<ReadsRow<Vec4f>> last_velocity; WritesRow<VbdBody> body;
                     WritesRow<VbdBodyMotion> motion;)
 };
 
-// Kinematic bodies follow their velocity.
+// Computes the inertial target and the initial guess of each body. Kinematic bodies move with their
+// velocity.
 NOVAPHY_ROW_KERNEL(vbd_body_predict, VbdBodyPredictArguments) {
   using namespace math;
   const float h = a.h.value;
@@ -75,13 +79,13 @@ NOVAPHY_ROW_KERNEL(vbd_body_predict, VbdBodyPredictArguments) {
   a.motion[row] = motion;
 }
 
-// What all kernels of an iteration read. An item is 4 times the row plus 2 for a contact plus the
-// side of the body.
+// The inputs of all kernels of an iteration. An item of a body is 4 times the index of the contact
+// or joint, plus 2 for a contact, plus the side of the body (0 or 1).
 struct VbdBodyRows {
   NOVAPHY_ARGUMENTS(Reads<VbdBody> body; Updates<VbdBodyMotion> motion;
                     Reads<VbdBodyContact> contact; Reads<VbdBodyJoint> joint;
                     Reads<int32_t> begin, items;  // of each body
-                    Number<float> slip;)          // m: friction of the metric ends here
+                    Number<float> slip;)          // m: slip bound of contact_force
 };
 
 namespace vbd {
@@ -90,10 +94,12 @@ inline VbdBodyMotion motion_of(const VbdBodyMotion* motion, int32_t body) {
   return body < 0 ? VbdBodyMotion{} : motion[body];
 }
 
-// The parts of a block: all, all for trees, or the force alone.
+// The part of a block to compute: force and stiffness, both with the factors of trees (in_trees),
+// or the force alone.
 enum class BlockPart { All, Trees, Force };
 
-// Subtracts k j j'^T from the edge, where j belongs to the parent and j' to the node.
+// Subtracts k j j'^T from the coupling matrix `edge`, where j belongs to the parent and j' to the
+// node.
 inline void add_edge_row(float (*edge)[6], float k, const Vec3f& linear, const Vec3f& parent,
                          const Vec3f& node) {
   const float p[6] = {linear.x, linear.y, linear.z, parent.x, parent.y, parent.z};
@@ -102,8 +108,8 @@ inline void add_edge_row(float (*edge)[6], float k, const Vec3f& linear, const V
     for (int c = 0; c < 6; ++c) edge[r][c] = edge[r][c] - (k * p[r]) * j[c];
 }
 
-// Returns the block of a body with all its rows. `edge`: gets the rows shared with `parent`, if >=
-// 0.
+// Returns the force and stiffness of a body with all its rows. If parent >= 0, `edge` gets the
+// coupling to this body by the shared rows.
 template <BlockPart part>
 BodyBlock block_of(const VbdBodyRows& a, int32_t body, float (*edge)[6] = nullptr,
                    int32_t parent = -1) {
@@ -136,7 +142,7 @@ BodyBlock block_of(const VbdBodyRows& a, int32_t body, float (*edge)[6] = nullpt
 struct VbdBodyMoveArguments {
   NOVAPHY_ARGUMENTS(Part<VbdBodyRows> rows; ReadsRow<int32_t> bodies;)
 };
-// Moves the bodies of a color.
+// Moves the bodies of a color, each by the solution of its 6x6 system.
 NOVAPHY_ROW_KERNEL(vbd_body_move, VbdBodyMoveArguments) {
   const int32_t body = a.bodies[row];
   const vbd::BodyBlock b = vbd::block_of<vbd::BlockPart::All>(a.rows, body);
@@ -145,24 +151,25 @@ NOVAPHY_ROW_KERNEL(vbd_body_move, VbdBodyMoveArguments) {
   vbd::move_body(a.rows.motion[body], d);
 }
 
-// The blocks of the bodies of all trees, node by node. A node stands behind its parent.
+// The data of a body of a tree. Nodes are stored tree by tree, and a parent comes before its
+// children.
 struct alignas(16) VbdBodyNode {
   using Element = Vec4f;
   vbd::BodyBlock block;
-  float edge[6][6] = {};  // rows: of the parent; columns: of the node
+  float edge[6][6] = {};  // coupling: rows of the parent, columns of the node
   math::Ldlt<float, 6> factor;
   float f[6] = {}, d[6] = {};  // the force before the step, and the step
-  float slope = 0.0f;          // the force behind the step, times the step
+  float slope = 0.0f;          // dot product of the force after the step and the step
   float unused[3] = {};
   VbdBodyMotion before;
 };
 
 struct VbdBodyNodeArguments {
-  NOVAPHY_ARGUMENTS(Part<VbdBodyRows> rows; Reads<int32_t> bodies;  // of the nodes
+  NOVAPHY_ARGUMENTS(Part<VbdBodyRows> rows; Reads<int32_t> bodies;  // body of each node
                     ReadsRow<int32_t> parent;                       // node of each node; -1: a root
                     WritesRow<VbdBodyNode> nodes;)
 };
-// Writes the block of a node, and its edge to the parent.
+// Computes the force and stiffness of a node, and the coupling to its parent.
 NOVAPHY_ROW_KERNEL(vbd_body_node, VbdBodyNodeArguments) {
   VbdBodyNode& node = a.nodes[row];
   for (float(&of_row)[6] : node.edge)
@@ -173,12 +180,13 @@ NOVAPHY_ROW_KERNEL(vbd_body_node, VbdBodyNodeArguments) {
 }
 
 struct VbdBodyTreeArguments {
-  NOVAPHY_ARGUMENTS(Reads<int32_t> first;   // node of each tree, and one more behind the last
-                    Reads<int32_t> parent;  // node of each node; -1: a root
+  NOVAPHY_ARGUMENTS(Reads<int32_t> first;   // first node of each tree, and the end of the last tree
+                    Reads<int32_t> parent;  // parent node of each node; -1: a root
                     Reads<int32_t> bodies; Updates<VbdBodyNode> nodes;
                     Updates<VbdBodyMotion> motion;)
 };
-// Solves a tree by block elimination, from its leaves to its root, and moves its bodies.
+// Solves the linear system of a tree by block elimination from the leaves to the root, and moves
+// the bodies.
 NOVAPHY_ROW_KERNEL(vbd_body_tree, VbdBodyTreeArguments) {
   for (int32_t k = a.first[row + 1]; k-- > a.first[row];) {
     VbdBodyNode& node = a.nodes[k];
@@ -218,8 +226,9 @@ NOVAPHY_ROW_KERNEL(vbd_body_slope, VbdBodySlopeArguments) {
   for (int i = 0; i < 6; ++i) node.slope = node.slope + b.f[i] * node.d[i];
 }
 
-// Shortens the step of a tree to the secant's minimum, if the force behind the step pushes back by
-// more than half of the force before the step.
+// Shortens the step of a tree if the force after the step pushes back by more than half of the
+// force before the step (both projected on the step). The new step ends where the linear
+// interpolation of the force is 0, but is at least a tenth of the old step.
 NOVAPHY_ROW_KERNEL(vbd_body_take, VbdBodyTreeArguments) {
   float before = 0.0f, behind = 0.0f;
   for (int32_t k = a.first[row]; k < a.first[row + 1]; ++k) {
@@ -242,7 +251,7 @@ struct VbdBodyUpdateArguments {
   NOVAPHY_ARGUMENTS(Reads<VbdBodyMotion> motion; Number<float> slip; Number<int64_t> contacts;
                     Updates<VbdBodyContact> contact; Updates<VbdBodyJoint> joint;)
 };
-// Updates the multipliers of the contacts, and behind them of the joints.
+// Updates the multipliers. The first rows are the contacts, the remaining rows the joints.
 NOVAPHY_ROW_KERNEL(vbd_body_update, VbdBodyUpdateArguments) {
   if (row < a.contacts.value) {
     VbdBodyContact& c = a.contact[row];

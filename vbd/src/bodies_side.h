@@ -1,4 +1,4 @@
-// A body as the rows of a step see it.
+// A body as the rows of a step use it: pose, inverse mass and inertia.
 #pragma once
 
 #include <algorithm>
@@ -7,10 +7,10 @@
 
 namespace novaphy::vbd {
 
-constexpr float kMetric = 100.0f;  // the stiffness of the iteration over that of inertia, 1/(h^2 w)
-constexpr float kRecall = 0.999f;  // the part of multipliers that the next step starts with
+constexpr float kMetric = 100.0f;  // rho over the inertial stiffness 1/(h^2 w)
+constexpr float kRecall = 0.999f;  // factor of the previous step's multipliers
 
-// A body, as rows see it. The world has no mobility.
+// A body of a row. The world and kinematic bodies have the inverse mass and inertia 0.
 struct BodySide {
   BodySide(const Model& m, const SimState& in, const int32_t* held, int32_t body) {
     if (body < 0) return;
@@ -21,7 +21,8 @@ struct BodySide {
     inv_mass = m.body_inv_mass.data()[body];
     inv_inertia = m.body_inv_inertia.data()[body];
   }
-  // The inverse mass along n of a point at the lever `arm`, or about n.
+  // mobility() returns the inverse effective mass (1/kg) along n of the point at the lever `arm`.
+  // turning() returns the inverse inertia about n.
   float mobility(const Vec3f& arm, const Vec3f& n) const {
     return inv_mass + turning(math::cross(arm, n));
   }
@@ -36,7 +37,7 @@ struct BodySide {
   Mat33f inv_inertia{};
 };
 
-// Puts a row along the axis of a joint.
+// Sets a row along the axis of a joint, and clamps its multiplier to the bounds.
 inline void put_row(VbdAxisRow& row, float stiffness, float rest, float lower, float upper) {
   row.stiffness = stiffness;
   row.rest = rest;

@@ -11,7 +11,7 @@ namespace {
 
 using Points = std::vector<Vec3<double>>;
 
-// Calls visit(particle, other) for each other corner of each slot.
+// Calls visit(particle, other) for each slot of a particle and each other corner of the slot.
 template <class Visit>
 void visit_corners(const ColorSlots& slots, const Visit& visit) {
   const auto lanes = static_cast<size_t>(slots.lanes());
@@ -33,12 +33,12 @@ void visit_corners(const ColorSlots& slots, const Visit& visit) {
 struct Frame {
   Vec3<double> center;
   math::PrincipalAxes axes;
-  int rank = 0;  // number of axes along which the points differ; these axes come first
+  int rank = 0;  // number of axes along which the points differ: the first axes
 };
 double along(const math::PrincipalAxes& axes, int axis, const Vec3<double>& d) {
   return axes.axes[0][axis] * d.x + axes.axes[1][axis] * d.y + axes.axes[2][axis] * d.z;
 }
-// Returns the center and the principal axes of points, in descending order of the moments.
+// Returns the center and the principal axes of points. The axes have descending second moments.
 Frame frame_of(const Points& points, const int32_t* particles, size_t count) {
   Frame f;
   for (size_t k = 0; k < count; ++k)
@@ -59,7 +59,7 @@ Frame frame_of(const Points& points, const int32_t* particles, size_t count) {
     f.axes.moments[axis] = found.moments[order[axis]];
     for (int r = 0; r < 3; ++r) f.axes.axes[r][axis] = found.axes[r][order[axis]];
   }
-  constexpr double kRounding = 1e-8;  // of the moments, relative to the largest
+  constexpr double kRounding = 1e-8;  // rounding error of the moments, relative to the largest
   for (int axis = 0; axis < 3; ++axis)
     if (f.axes.moments[axis] > kRounding * f.axes.moments[0]) ++f.rank;
   return f;
@@ -72,7 +72,7 @@ CoarseTables::CoarseTables(const Model& model, const ColorSlots& slots) {
   Points points(count);
   for (size_t p = 0; p < count; ++p) {
     const Vec3f& q = model.particle_q.data()[p];
-    if (!is_finite(q)) continue;  // the values of a function may be arbitrary
+    if (!is_finite(q)) continue;  // then the functions may have any value
     points[p] = {static_cast<double>(q.x), static_cast<double>(q.y), static_cast<double>(q.z)};
   }
   aggregate.assign(count, -1);
@@ -81,7 +81,7 @@ CoarseTables::CoarseTables(const Model& model, const ColorSlots& slots) {
   const std::vector<int32_t>& component = slots.components();
   IndexRows particles_of;
   particles_of.build(component, slots.component_count());
-  std::vector<int32_t> system_of(count, -1);  // for each component
+  std::vector<int32_t> system_of(count, -1);  // of each component; -1: too small for a system
   for (int32_t c = 0; c < slots.component_count(); ++c) {
     const auto of = particles_of.items(c);
     if (of.size() < 2) continue;
@@ -107,7 +107,8 @@ CoarseTables::CoarseTables(const Model& model, const ColorSlots& slots) {
   add_pairs();
 }
 
-// Splits particles in two along the longest axis, until each part is an aggregate.
+// Halves the set of particles along its longest axis, again and again, until each part is an
+// aggregate.
 void CoarseTables::split(const Points& points, std::vector<int32_t>& particles, size_t begin,
                          size_t end, int64_t parts) {
   const auto first = particles.begin() + static_cast<std::ptrdiff_t>(begin);
@@ -167,7 +168,7 @@ void CoarseTables::find_near(const ColorSlots& slots) {
   }
 }
 
-// Adds the pairs of functions whose aggregates are near each other, with the larger index first.
+// Adds the pairs of functions whose aggregates are near each other. The larger index comes first.
 void CoarseTables::add_pairs() {
   for (size_t a = 0; a + 1 < member_begin.size(); ++a) {
     std::vector<int32_t> others;

@@ -9,16 +9,17 @@
 
 namespace novaphy::vbd {
 
-// The systems, aggregates and functions of particles, on the host; see VbdCoarseArguments.
+// The systems, aggregates and functions of the coarse correction, on the host; see
+// VbdCoarseArguments.
 //
 // A system is a connected component of at least two particles that move. An aggregate has about
-// kParticles particles. The aggregates of a system are larger if it would otherwise have more than
-// kUnknowns unknowns.
+// kParticles particles. Its size grows if the system would otherwise have more than kUnknowns
+// unknowns.
 struct CoarseTables {
   static constexpr int kParticles = 10, kUnknowns = 300;
 
-  // `model` must be on the host. The linear functions of an aggregate (coarse_kernels.h) are those
-  // of the model's particle_q. A function that is constant over its aggregate is left out.
+  // `model` must be on the host. The linear functions of an aggregate (coarse_kernels.h) are linear
+  // in the model's particle_q. A function that is constant over its aggregate is left out.
   CoarseTables(const Model& model, const ColorSlots& slots);
 
   std::vector<int32_t> aggregate, near_begin, near, function_begin, member_begin, members;
@@ -40,13 +41,14 @@ class Coarse {
  public:
   Coarse(const Model& model, const ColorSlots& slots, Device device);
 
-  // Returns the arguments of a launch over all groups, after `tests` tests of the line search.
+  // Returns the arguments of a launch over all groups. `tests`: number of tests of the line search
+  // that ran before.
   VbdCoarseArguments arguments(const VbdSweepArguments& sweep, int64_t tests) const;
   int64_t systems() const { return static_cast<int64_t>(matrix_begin_.rows()); }
   int64_t functions() const { return static_cast<int64_t>(function_aggregate_.rows()); }
   int64_t pairs() const { return static_cast<int64_t>(pairs_.rows() / 2); }
   const DeviceArray<float>& matrix() const { return matrix_; }
-  // Returns the line searches of the last correction, for vbd_keep.
+  // Returns the line searches of the last correction. vbd_keep copies them.
   const DeviceArray<Vec4f>& search() const { return search_; }
 
  private:

@@ -10,7 +10,7 @@
 namespace novaphy::vbd {
 namespace {
 
-// Returns whether an element acts: a coefficient of its material is not 0.
+// Returns whether an element has an effect: a coefficient of its material is not 0.
 template <class Element>
 bool acts(const Model& m, size_t e) {
   bool any = false;
@@ -22,7 +22,7 @@ bool acts(const Model& m, size_t e) {
   return any;
 }
 
-// Calls visit(RoleIs<first role>(), element, corners) for each element that acts.
+// Calls visit(RoleIs<first role>(), element, corners) for each element with an effect.
 template <class Visit>
 void visit_elements(const Model& m, const Visit& visit) {
   for_each_kind([&](auto is) {
@@ -37,7 +37,7 @@ void visit_elements(const Model& m, const Visit& visit) {
   });
 }
 
-// Checks the indices of particles, and that the columns of materials without a force are 0.
+// Checks that the indices of particles exist, and that material columns which no force uses are 0.
 template <class Element>
 void check_elements(const Model& m) {
   Element::with_indices(m, [&m](const char* name, const Array& indices) {
@@ -81,7 +81,7 @@ void ColorSlots::find_held(const Model& model) {
   }
 }
 
-// Joins the particles of each element that move.
+// Finds the connected components of the particles that move. Elements connect their particles.
 void ColorSlots::find_components(const Model& model) {
   component_.resize(is_held_.size());
   std::iota(component_.begin(), component_.end(), 0);
@@ -98,7 +98,7 @@ void ColorSlots::find_components(const Model& model) {
         component_[static_cast<size_t>(std::max(first, second))] = std::min(first, second);
       }
   });
-  std::vector<int32_t> number(component_.size());  // of the components named by first particles
+  std::vector<int32_t> number(component_.size());  // component of each first particle
   component_count_ = 0;
   for (int32_t p = 0; p < model.particle_count(); ++p) {
     const auto first = static_cast<size_t>(root(p)), at = static_cast<size_t>(p);
@@ -134,7 +134,7 @@ void ColorSlots::collect(const Model& model) {
   visit([&](int role, size_t p, Source source) {
     tables_[role].of_particles[static_cast<size_t>(next[role][p]++)] = source;
   });
-  // the slots of a particle end where those of the next particle begin
+  // checks that the slots of each particle end where the slots of the next particle begin
   for (int role = 0; role < kRoles; ++role)
     NOVAPHY_ASSERT(std::equal(next[role].begin(), next[role].end() - 1,
                               tables_[role].particle_begin.begin() + 1));
@@ -152,7 +152,7 @@ void ColorSlots::find_conflicts(const std::vector<int32_t>& colors, const Model&
 }
 
 // Makes the groups of each color. The particles of a color are sorted by their number of slots, so
-// that the lanes of a group have about equally many.
+// that the lanes of a group have similar numbers of slots.
 void ColorSlots::make_groups(const std::vector<int32_t>& colors) {
   std::vector<std::vector<int32_t>> of_color;
   for (size_t p = 0; p < colors.size(); ++p) {

@@ -1,4 +1,5 @@
-// The groups of a model's particles and the slots of their elements (elements/list.h), as tables.
+// The groups of a model's particles and the slots of their elements (elements/list.h), as tables on
+// the host.
 #pragma once
 
 #include <cstdint>
@@ -12,11 +13,11 @@ namespace novaphy::vbd {
 
 class ColorSlots {
  public:
-  struct Source {  // the element in a slot's lane, and the corner that the lane's particle is
+  struct Source {  // the element of one lane of a slot, and the own corner
     int32_t element = -1, corner = 0;
   };
   struct Table {
-    std::vector<Source> of_particles;  // of each particle, in the order of the elements
+    std::vector<Source> of_particles;  // the elements of all particles, particle by particle
     std::vector<int64_t> particle_begin;
     std::vector<int64_t> begin;
     std::vector<Source> sources;
@@ -26,34 +27,35 @@ class ColorSlots {
     bool damped = false;
   };
 
-  // Makes groups of `lanes` particles, and slots for the elements that act. Kinematic particles
-  // have no slots. Errors: as for SolverVBD's constructor.
+  // Makes groups of `lanes` particles, and slots for the elements with a coefficient other than 0.
+  // Kinematic particles have no slots. Errors: as for the constructor of SolverVBD.
   void build(const Model& model, int lanes);
-  // Computes the numbers of the slots for the step size dt (s), with zero activation.
+  // Computes the numbers of the slots for the step size dt (s) and for zero activation.
   void set_constants(const Model& model, float dt);
 
   const std::vector<int32_t>& held() const { return held_; }
-  const std::vector<int32_t>& held_flags() const { return is_held_; }  // of each particle
+  const std::vector<int32_t>& held_flags() const { return is_held_; }  // 1: kinematic
   bool is_held(int32_t particle) const { return is_held_[static_cast<size_t>(particle)] != 0; }
-  // The connected component of each particle, in the order of their first particles. A kinematic
-  // particle has -1.
+  // Returns the connected component of each particle, or -1 for a kinematic particle. Components
+  // are numbered in the order of their first particles.
   const std::vector<int32_t>& components() const { return component_; }
   int32_t component_count() const { return component_count_; }
   // The groups of color c are [color_begin()[c], color_begin()[c + 1]).
   const std::vector<int64_t>& color_begin() const { return color_begin_; }
-  // Whether an element has two particles of the same color that move.
+  // Returns whether an element has two moving particles of the same color.
   bool has_conflicts() const { return has_conflicts_; }
   int lanes() const { return lanes_; }
   const Table& table(int role) const { return tables_[role]; }
-  // The index of the first float of each role among the floats of all roles, and behind them the
-  // count of all floats.
+  // Returns the index of the first number of each role in the concatenated numbers of all roles.
+  // The last entry is the count of all numbers.
   const std::vector<int64_t>& numbers_begin() const { return numbers_begin_; }
-  // Returns the index of a source's first number among the floats of its role.
+  // Returns the index of the first number of a source in the numbers of its role. `source` is an
+  // index in Table::sources.
   size_t place_of(int role, size_t source) const {
     const auto lanes = static_cast<size_t>(lanes_);
     return source / lanes * lanes * static_cast<size_t>(kFloats[role]) + source % lanes;
   }
-  // Values of each lane of each group: see VbdSweepArguments. set_constants makes the masses.
+  // Values of each lane of each group: see VbdSweepArguments. set_constants computes the masses.
   const std::vector<int32_t>& particles() const { return particle_; }
   const std::vector<int32_t>& filled() const { return filled_; }
   const std::vector<float>& masses_by_h2() const { return mass_by_h2_; }
@@ -78,8 +80,8 @@ class ColorSlots {
   bool has_conflicts_ = false;
 };
 
-// Returns the particles of each world. Particles of all worlds (-1) belong to the last one, whose
-// gravity they feel.
+// Returns the particles of each world. Particles of all worlds (world -1) are listed with the last
+// world, whose gravity they feel.
 IndexRows particles_of_worlds(const Model& model);
 
 }  // namespace novaphy::vbd

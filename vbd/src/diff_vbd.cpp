@@ -16,7 +16,8 @@ namespace {
 
 using nova::Tensor;
 
-// Writes the row that the adaptive guess of the next step reads: the velocity and the number 1.
+// Returns the kernel that writes the row for the adaptive guess of the next step: the velocity, and
+// the number 1.
 const nova::Kernel& keep_velocity_kernel() {
   static const nova::Kernel kernel = nova::make_kernel(
       "vbd_keep_velocity", {{"particle_qd", nova::DType::F32, 3, nova::Access::Direct}},
@@ -67,8 +68,8 @@ DeviceArray<Vec4f> DiffSolverVBD::new_velocities() const {
   return DeviceArray<Vec4f>(static_cast<size_t>(model()->particle_count()), device());
 }
 
-// Returns the previous velocity, as the step reads it. On a tape the memory of the rows stays
-// unchanged until backward has read them.
+// Returns the previous velocity that the step reads. On a tape its memory stays unchanged until
+// backward has read it.
 Tensor DiffSolverVBD::last_velocity(StepInputs::Checkpoints* checkpoints) {
   if (!looks_back()) return {};
   const auto rows = static_cast<int64_t>(model()->particle_count());
@@ -98,7 +99,7 @@ Tensor DiffSolverVBD::last_velocity(StepInputs::Checkpoints* checkpoints) {
   return last;
 }
 
-// Keeps the velocity of `in`, the state before the step, for the next step's guess.
+// Stores the velocity of `in`, the state before the step, for the adaptive guess of the next step.
 void DiffSolverVBD::keep_velocity(const SimState& in, StepInputs::Checkpoints* checkpoints,
                                   StepScratch scratch) {
   if (!looks_back()) return;
@@ -131,7 +132,7 @@ namespace {
 GradientInfo info_of(GradientCounts counts, const VbdGradientInfo& of, bool implicit) {
   if (implicit) {
     counts.residual = static_cast<float>(std::max(of.primal.relative, of.linear_residual));
-    // Only the last step can be counted as unsolved, because `of` describes only that step.
+    // `of` describes only the last step, so only the last step can be counted as not solved.
     if (counts.steps > 0 && counts.surrogate == 0 && !(counts.residual <= kSurrogateResidual)) {
       --(counts.exact > 0 ? counts.exact : counts.frozen);
       ++counts.surrogate;
@@ -185,7 +186,7 @@ DiffVbdGradientInfo DiffSolverVBD::gradient_info() const {
           of.halvings};
 }
 
-// A replay cannot throw. This check later throws the reason why the replay's results are NaN.
+// A replay cannot throw, and writes NaN instead. This check later throws the reason.
 void DiffSolverVBD::check_replays() const {
   if (failure_->empty()) return;
   fail(ErrorKind::Runtime,
@@ -193,8 +194,8 @@ void DiffSolverVBD::check_replays() const {
        std::exchange(*failure_, {}));
 }
 
-// Returns a copy of the contacts, because the pipeline may overwrite them before backward reads
-// them. Equal contacts share the copy of the previous step.
+// Returns a copy of the contacts, because the pipeline may overwrite the original before backward
+// reads it. If the contacts did not change, the steps share one copy.
 std::shared_ptr<const Contacts> DiffSolverVBD::kept(const Contacts* contacts) {
   if (contacts == nullptr) return nullptr;
   const auto same = [](const Array& a, const Array& b) {
@@ -237,8 +238,8 @@ void DiffSolverVBD::step(SimState& state_in, SimState& state_out, const Control*
   record_step(state_in, state_out, inputs, {});
 }
 
-// In a capture on the CPU, notes the values that replays depend on. A replay with changed values
-// then throws before it begins, instead of writing NaN.
+// In a capture on the CPU, registers the values that a replay depends on. If a value has changed,
+// the replay throws before it begins, instead of writing NaN.
 void DiffSolverVBD::begin() {
   if (nova::current_capture() == nullptr || !device().is_cpu()) return;
   model()->depend_on_numbers();
@@ -263,7 +264,7 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
   if (on_device && tape == nullptr) {  // no backward pass will read the contacts
     step->contacts = {std::shared_ptr<void>(), inputs.contacts};
   } else if ((captured || on_device) && inputs.contacts != nullptr) {
-    const nova::NoGrad no_grad;  // in a capture every replay makes this copy
+    const nova::NoGrad no_grad;  // every replay of a capture makes this copy
     step->contacts = std::make_shared<const Contacts>(inputs.contacts->clone());
   } else {
     step->contacts = kept(inputs.contacts);

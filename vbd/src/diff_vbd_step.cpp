@@ -16,13 +16,14 @@ namespace {
 
 using nova::Tensor;
 
-// Returns the tensor's memory as rows of three numbers. An undefined tensor gives no rows.
+// Returns the tensor's memory as rows of three floats. An undefined tensor gives an array without
+// rows.
 DeviceArray<Vec3f> array_of(const Tensor& tensor) {
   if (!tensor.defined() || tensor.size() == 0) return {};
   return DeviceArray<Vec3f>(
       Array(novaphy::DType::vec3, static_cast<size_t>(tensor.size() / 3), 1, tensor.range()));
 }
-// Returns rows of a tensor, as a tensor with its own range of the same memory.
+// Returns some rows of a tensor, as a tensor whose range is a part of the same memory.
 Tensor part_of(const Tensor& all, size_t first_row, size_t rows) {
   const auto row = static_cast<size_t>(all.shape().back()) * sizeof(float);
   const auto& range = all.range();
@@ -37,7 +38,7 @@ bool in_a_capture_of_the_host(const RecordedStep& step) {
 
 }  // namespace
 
-// Arrays of the model that have a gradient, besides the arrays of elements.
+// Arrays of the model that have a gradient. The arrays of elements are not in this list.
 #define NOVAPHY_VBD_MODEL_INPUTS(X) \
   X(gravity)                        \
   X(particle_mass)                  \
@@ -106,8 +107,8 @@ void RecordedStep::check_others(const nova::Tape& tape, const Contacts* given) c
         [&](const FieldInfo& info, const Array& array) { check("contacts", info, array); });
 }
 
-// ErrorKind::Runtime: a number of the model has changed since the recording. The step would run
-// with the new value.
+// ErrorKind::Runtime: a scalar of the model has changed since the recording, so that the step would
+// run with the new value.
 void RecordedStep::check_numbers() const {
   const auto check = [](const char* name, float then, float now) {
     require(then == now, ErrorKind::Runtime, kName, ": model.", name,
@@ -118,8 +119,8 @@ void RecordedStep::check_numbers() const {
   check("soft_contact_mu", soft_contact_mu, model->soft_contact_mu);
 }
 
-// ErrorKind::NotImplemented: a capture on a device of implicit gradients, for which the host
-// decides.
+// ErrorKind::NotImplemented: implicit gradients in a capture on a device. They need decisions of
+// the host.
 void RecordedStep::check_capture() const {
   require(!implicit || !on_device() || nova::current_capture() == nullptr,
           ErrorKind::NotImplemented, kName,
@@ -145,7 +146,7 @@ VbdStepInputs RecordedStep::inputs() const {
           .trains_elements = trains_elements};
 }
 
-// Returns the tensors that forward reads.
+// Returns the tensors that forward() reads.
 std::vector<Tensor> RecordedStep::reads() const {
   std::vector<Tensor> all;
   for (const Input& input : differentiable()) all.push_back(input.tensor);
@@ -176,7 +177,7 @@ void RecordedStep::capture(std::vector<Tensor> reads, std::vector<Tensor> result
 void RecordedStep::forward() {
   check_capture();
   const nova::NoGrad no_grad;
-  if (!on_device())  // forward runs without a recorder there
+  if (!on_device())  // forward() runs without a recorder on the CPU
     for (DeviceArray<Vec3f>* const written : {&q_out, &qd_out}) written->mutable_data();
   steps->forward(inputs(), q_out, qd_out, in_use);
 }
@@ -190,7 +191,7 @@ void RecordedStep::submit_forward(const std::shared_ptr<RecordedStep>& step) {
   });
 }
 
-// Runs the backward pass. Returns the wanted derivatives, in the order of the inputs.
+// Runs the backward pass. Returns the requested derivatives, in the order of the inputs.
 std::vector<Array> RecordedStep::derivatives(std::span<const Tensor> outputs,
                                              std::span<const nova::InputGradient> to) const {
   const std::vector<Input> all = differentiable();
@@ -215,7 +216,7 @@ void RecordedStep::backward(std::span<const Tensor> outputs,
   for (size_t k = 0; k < all.size(); ++k) {
     if (!to[k].wanted()) continue;
     nova::InputGradient where = to[k];
-    if (all[k].is_targets) {  // the targets of the other steps keep their gradients
+    if (all[k].is_targets) {  // keeps the gradients of other steps' targets
       if (!where.add) where.put({});
       where = {part_of(where.grad, first_target, target_count), true};
     }
@@ -223,7 +224,8 @@ void RecordedStep::backward(std::span<const Tensor> outputs,
   }
 }
 
-// The same within a replay, which writes the gradients directly: nobody else writes them meanwhile.
+// Like backward(), within a replay. The function writes the gradients directly, because nothing
+// else writes them during a replay.
 void RecordedStep::add_backward(std::span<const Tensor> outputs,
                                 std::span<const nova::InputGradient> to) const {
   const std::vector<Array> values = derivatives(outputs, to);

@@ -1,5 +1,5 @@
-// A step of DiffSolverVBD as a tape, a capture or a call keeps it: its inputs and outputs, and its
-// derivatives as tensors.
+// One step of DiffSolverVBD as a tape or a capture stores it: inputs, outputs, and derivatives as
+// tensors.
 #pragma once
 
 #include <array>
@@ -25,9 +25,9 @@ struct RecordedStep {
   std::shared_ptr<const Model> model;
   std::shared_ptr<DifferentiableVbd> steps;
   std::shared_ptr<const Contacts> contacts;
-  std::shared_ptr<std::string> failure;  // of replays; see DiffSolverVBD::gradient_info
+  std::shared_ptr<std::string> failure;  // of replays: see DiffSolverVBD::gradient_info
   std::shared_ptr<ExclusiveUse> in_use;
-  nova::Tensor q, qd, f, targets;  // targets: of all steps; undefined: none
+  nova::Tensor q, qd, f, targets;  // targets: of all steps of a rollout; undefined: none
   nova::Tensor last;               // previous velocity, for the adaptive guess; else undefined
   size_t first_target = 0, target_count = 0;
   VbdActivations activations;
@@ -35,30 +35,30 @@ struct RecordedStep {
   float dt = 0.0f;
   int32_t of_rollout = -1;  // index of the step in a rollout; -1: not in a rollout
   bool implicit = false, trains_elements = false;
-  // The model's numbers when the step was recorded.
+  // The values of the model's scalars at the time of the recording.
   float soft_contact_ke = model->soft_contact_ke, soft_contact_kd = model->soft_contact_kd,
         soft_contact_mu = model->soft_contact_mu;
 
-  // An input with a gradient, and the member of VbdStepDerivatives with its derivative.
+  // An input with a gradient, and the member of VbdStepDerivatives that holds its derivative.
   struct Input {
     nova::Tensor tensor;
     Array VbdStepDerivatives::*derivative;
     bool is_targets = false;
-    // Returns the count of the numbers that the step reads from the tensor.
+    // Returns the count of values that the step reads from the tensor.
     size_t size(const RecordedStep& step) const {
       return static_cast<size_t>(is_targets ? 3 * step.target_count : tensor.size());
     }
   };
   std::vector<Input> differentiable() const;
-  // Returns whether this is a capture on a device in which materials or rest shapes of elements
+  // Returns whether the step is in a capture on a device, and materials or rest shapes of elements
   // carry a gradient.
   bool trains(const nova::Tape& tape) const;
   bool on_device() const { return !model->device().is_cpu(); }
-  // ErrorKind::NotImplemented: an array carries a gradient, but a step has none for it. The message
-  // names the array.
+  // ErrorKind::NotImplemented: an array carries a gradient, but the step has no derivative with
+  // respect to this array. The message names the array.
   void check_others(const nova::Tape& tape, const Contacts* given) const;
 
-  // Run now, or in the replays of a capture. Errors name the step of a rollout.
+  // Run at once, or in the replays of a capture. Errors name the step of a rollout.
   static void submit_forward(const std::shared_ptr<RecordedStep>& step);
   static void submit_backward(const std::shared_ptr<RecordedStep>& step,
                               std::span<const nova::Tensor> outputs,
@@ -80,9 +80,9 @@ struct RecordedStep {
                 std::span<const nova::InputGradient> to) const;
   void add_backward(std::span<const nova::Tensor> outputs,
                     std::span<const nova::InputGradient> to) const;
-  // Returns the tangents of positions and velocities.
+  // Returns the tangents of positions and velocities after the step.
   std::array<DeviceArray<Vec3f>, 2> tangents(std::span<const nova::Tensor> tangents) const;
-  // Adds `run` to a capture on the CPU, as host work with these reads and results.
+  // Adds `run` to a capture on the CPU as host work that reads `reads` and writes `results`.
   void capture(std::vector<nova::Tensor> reads, std::vector<nova::Tensor> results,
                std::function<void()> run) const;
   template <class Run>

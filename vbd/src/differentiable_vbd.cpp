@@ -18,7 +18,7 @@ namespace {
 using vbd::StepDerivatives;
 using vbd::StepInputs;
 
-// While an object of this class lives, no recorder and no tracker sees the work of this thread.
+// While an object of this class exists, no recorder and no tracker sees the work of this thread.
 struct Unseen {
   const UntrackedScope untracked;
   const Unrecorded unrecorded;
@@ -47,7 +47,8 @@ void check_gradient_options(const VbdOptions& o, const VbdGradientOptions& g) {
           "iterations: expected >= 1 with implicit gradients, got ", o.iterations);
 }
 
-// The checks and the report of implicit derivatives.
+// Checks whether the step and the linear system of implicit derivatives are solved, and makes their
+// report.
 struct Solved {
   void see_step(const vbd::Solution& found) {
     const auto tolerance = static_cast<double>(gradient.tolerance);
@@ -87,7 +88,8 @@ struct DifferentiableVbd::Work {
         q_out(step.x().rows(), model.device()),
         qd_out(step.x().rows(), model.device()) {}
 
-  // One call. On the CPU its work runs at once, without a recorder.
+  // The scope of one call of the solver. On the CPU the work of a call runs at once, without a
+  // recorder.
   struct Call {
     Call(Work& work, const char* name, const std::shared_ptr<ExclusiveUse>& use)
         : scope(work.in_use, name, "the solver") {
@@ -110,7 +112,7 @@ struct DifferentiableVbd::Work {
     solved.see_step(tangent.solve_step(static_cast<double>(gradient.tolerance),
                                        gradient.newton_iterations, gradient.krylov_sweeps));
   }
-  // Runs the step once more, for derivatives, which read its intermediate values.
+  // Runs the step once more, because derivatives read its intermediate values.
   void run_again(const StepInputs& in, bool damps) {
     run(in, {.q = q_out, .qd = qd_out, .keeps_iterates = !gradient.implicit}, damps);
     if (!gradient.implicit) step.find_residuals();
@@ -134,7 +136,7 @@ struct DifferentiableVbd::Work {
     tell(reverse.implicit(in, adjoints, to, static_cast<double>(gradient.tolerance),
                           gradient.krylov_sweeps));
   }
-  // Returns the tangents of the positions and the velocities.
+  // Returns the tangents of the positions and of the velocities after the step.
   std::array<vbd::Rows, 2> tangents(const StepInputs& in, const StepDerivatives& direction) {
     run_again(in, vbd::wants(direction, vbd::kMaterial));
     step.check();
@@ -157,9 +159,9 @@ struct DifferentiableVbd::Work {
   Solved solved;
   DeviceArray<Vec3f> q_out, qd_out;
   bool has_info = false;
-  VbdGradientInfo info;  // set by implicit gradients only
+  VbdGradientInfo info;  // set only with implicit gradients
   ExclusiveUse in_use;
-  std::shared_ptr<ExclusiveUse> in_use_of_caller;  // a recording holds it
+  std::shared_ptr<ExclusiveUse> in_use_of_caller;  // a recording keeps it
 };
 
 DifferentiableVbd::DifferentiableVbd(std::shared_ptr<const Model> model, const VbdOptions& options,
@@ -170,7 +172,7 @@ DifferentiableVbd::DifferentiableVbd(std::shared_ptr<const Model> model, const V
   require(model_->body_count() == 0, ErrorKind::NotImplemented,
           "DiffSolverVBD: model: expected body_count 0, got ", model_->body_count(),
           ", because steps of bodies have no gradient; use SolverVBD");
-  SolverVBD(model_, options);  // for its checks of the model and the options
+  SolverVBD(model_, options);  // checks the model and the options
   work_ = std::make_unique<Work>(*model_, options, gradient_options);
 }
 

@@ -1,4 +1,4 @@
-// The arrays of elements (elements/element.h), by their names in Model.
+// Access to the parameter arrays of elements (elements/element.h) by their names in Model.
 #pragma once
 
 #include <array>
@@ -10,8 +10,8 @@
 
 namespace novaphy::vbd {
 
-// Returns of(array) for each array of an element's parameters, and of(empty array) for the
-// remaining places. `m`: a model, or the derivatives with the names of its arrays.
+// Returns of(array) for each parameter array of an element, and of(empty array) up to kMostArrays.
+// `m` is a model, or a struct of derivatives with the same names.
 template <class Element, class M, class Of>
 auto parameter_arrays(const M& m, const Of& of) {
   const Array none;
@@ -23,8 +23,8 @@ auto parameter_arrays(const M& m, const Of& of) {
   return all;
 }
 
-// Returns the parameters of a model on the host, as rows of floats. The pointer of an activation is
-// null, because a step gives the activation.
+// Returns pointers to the parameters of a model on the host. The pointer to an activation is null,
+// because the inputs of a step have the activations.
 template <class Element>
 std::array<const float*, kMostArrays> parameters_on_host(const Model& m) {
   std::array<const float*, kMostArrays> all = {};
@@ -55,7 +55,7 @@ inline VbdActivations activations_of(const Control* control, const Model& m) {
   });
   return all;
 }
-// Returns the owner of an array of parameters in a step: the activations or the model.
+// Returns the struct that holds an array with this use in a step: the activations or the model.
 template <ArrayUse use>
 const auto& source_of(const VbdActivations& activations, const Model& m) {
   if constexpr (use == kActivation) {

@@ -1,6 +1,6 @@
-// Solves a linear system A x = b by the generalized conjugate residual method (Eisenstat, Elman,
-// Schultz 1983) with restarts, for each connected component. A need not be symmetric, and the
-// preconditioner is arbitrary.
+// Solves a linear system A x = b for each connected component by the generalized conjugate residual
+// method with restarts (Eisenstat, Elman, Schultz 1983). A need not be symmetric, and any
+// preconditioner is allowed.
 #pragma once
 
 #include <algorithm>
@@ -13,27 +13,29 @@
 
 namespace novaphy::vbd {
 
-// The recurrence has to reach this part of the tolerance, because rounding separates its residual
-// from the true residual.
+// The tolerance of the recurrence as a part of the wanted tolerance. Rounding separates the
+// residual of the recurrence from the true residual.
 constexpr double kMargin = 0.5;
 constexpr int kRefinements = 4;  // rounds of iterative refinement
 
 struct KrylovResult {
   double residual = 0.0;  // |b - A x| / |b|
   int32_t iterations = 0;
-  double floor = 0.0;  // the part of `residual` that one rounding of x can cause; 0: not asked
+  double floor = 0.0;  // part of `residual` that one rounding of x can cause; 0: not computed
 
-  // Near a singular matrix one rounding of x can cause any residual. The floor therefore counts up
-  // to ten tolerances only.
+  // Returns the largest residual that counts as solved: the tolerance, or four times the floor up
+  // to ten tolerances. The bound exists because near a singular matrix one rounding of x can cause
+  // any residual.
   double allowed(double tolerance) const {
     return std::max(tolerance, std::min(4.0 * floor, 10.0 * tolerance));
   }
 };
 
-// Solves A x = b by rounds of iterative refinement, for each component. more(tolerances, results)
-// adds a correction to x, and counts iterations. left(x) returns b - A x. The last call of left has
-// the final x. A residual above the tolerance gets its floor. Returns the result of the component
-// with the largest ratio of residual to allowed residual.
+// Solves A x = b for each component by rounds of iterative refinement. more(tolerances, results)
+// adds a correction to x and counts iterations. left(x) returns b - A x. The last call of left has
+// the final x. If the residual of a component is above the tolerance, the function also computes
+// its floor. Returns the result of the component with the largest ratio of residual to allowed
+// residual.
 template <class More, class Left>
 KrylovResult refine_solution(const Components& of, const Rows& x, const Rows& load,
                              double tolerance, int32_t sweeps, const More& more, const Left& left) {
@@ -41,7 +43,7 @@ KrylovResult refine_solution(const Components& of, const Rows& x, const Rows& lo
   std::vector<KrylovResult> results(of.count);
   Flags runs(of.count, 1);
   for (int round = 0; round < kRefinements && any(runs); ++round) {
-    Numbers asked(of.count, 1.0);  // 1: asks for no correction
+    Numbers asked(of.count, 1.0);  // a tolerance of 1 asks for no correction
     for (size_t c = 0; c < of.count; ++c)
       if (runs[c] != 0)
         asked[c] = kMargin * tolerance * (round > 0 ? 1.0 / results[c].residual : 1.0);
@@ -77,9 +79,9 @@ KrylovResult refine_solution(const Components& of, const Rows& x, const Rows& lo
   return worst;
 }
 
-// The last directions of a method and their images.
+// The last search directions of a method, and their images under A.
 struct KeptDirections {
-  static constexpr size_t kMost = 24;  // before a restart
+  static constexpr size_t kMost = 24;  // count of directions before a restart
   const Components& components;
   std::vector<Rows> directions, images;
   std::vector<Numbers> sizes;
@@ -90,8 +92,9 @@ struct KeptDirections {
     images.clear();
     sizes.clear();
   }
-  // Orthogonalizes an image against the vectors `of` (the directions or the images), and changes
-  // the direction alike. sizes[k] is inner(images[k], of[k]).
+  // Subtracts from `image` its parts along images[k], and from `direction` the same multiples of
+  // directions[k]. Afterwards `image` is orthogonal to the vectors `of`, which are the directions
+  // or the images. sizes[k] is inner(images[k], of[k]).
   void take_from(Rows& direction, Rows& image, const std::vector<Rows>& of) const {
     for (size_t k = 0; k < sizes.size(); ++k) {
       Numbers part = components.inner(image, of[k]);
@@ -107,9 +110,9 @@ struct KeptDirections {
   }
 };
 
-// Solves for x, which starts at 0; `residual` starts at b. precondition(r, z, az) sets z = M^-1 r
-// and az = A z. A component ends at its tolerance, or when its result has counted `most`
-// iterations.
+// Solves A x = b. On entry x is 0 and `residual` is b. precondition(r, z, az) sets z = M^-1 r and
+// az = A z, with the preconditioner M. A component ends at its tolerance, or when its result has
+// counted `most` iterations.
 template <class Precondition>
 void solve_krylov(const Components& of, Rows& x, Rows& residual, const Numbers& tolerance,
                   int32_t most, std::vector<KrylovResult>& results, Precondition&& precondition) {

@@ -1,5 +1,5 @@
-// SIMD lanes (core/lanes.h) as the scalar of the sweeps of VBD (sweep_kernels.h), and the kernels
-// that are compiled from them for one instruction set.
+// SIMD lanes (core/lanes.h) as the scalar of the sweeps of VBD (sweep_kernels.h). The file also has
+// the kernels for one instruction set.
 #pragma once
 
 #include "novaphy/math/types.h"
@@ -14,7 +14,7 @@ NOVAPHY_LANE_FN Lanes max(Lanes a, Lanes b) { return Lanes(a.v >= b.v ? a.v : b.
 NOVAPHY_LANE_FN Lanes abs(Lanes a) { return Lanes((VectorF)((VectorI)a.v & INT32_MAX)); }
 NOVAPHY_LANE_FN Lanes with_derivative(Lanes y, Lanes, Lanes) { return y; }
 
-// Gathers the rows `index` of a table with 4 floats in a row, without the last float.
+// gather4 loads the rows `index` of a table with 4 floats in a row, and drops the fourth float.
 typedef float Row __attribute__((vector_size(16)));
 struct Four {
   Row x, y, z;
@@ -54,7 +54,7 @@ NOVAPHY_LANE_FN Vec3<Lanes> gather(const float* table, const int32_t* index) {
 
 }  // namespace novaphy::vbd::NOVAPHY_LEVEL
 
-// Included after the functions of lanes above, which the templates use.
+// Included here because the templates use the lane functions above.
 #define NOVAPHY_LANE_FN_APART [[gnu::noinline]]
 #include "novaphy/vbd/sweep_kernels.h"
 #include "sweep.h"
@@ -90,8 +90,7 @@ struct LaneAccess<NOVAPHY_LEVEL::Lanes> {
 
 namespace NOVAPHY_LEVEL {
 
-// A kernel over groups, as a function over the rows of a launch. The rows are the lanes of the
-// groups.
+// Wraps a kernel over groups as a function over the rows of a launch. A row is one lane of a group.
 template <class A, void (*body)(const A&, const LaneGroup<Lanes>&)>
 void over_groups(const uint64_t* words, int64_t, int64_t begin, int64_t end) {
   const auto& a = novaphy::detail::arguments_of<A>(words);
@@ -109,7 +108,7 @@ void of_sweep(const VbdSweepArguments&, const LaneGroup<Lanes>& g) {
   body(g);
 }
 
-// Defined in the other files of the instruction set: see SweepLevel.
+// Defined in other files, which are compiled for the same instruction set: see SweepLevel.
 GroupKernel adjoint, adjoint_outer, adjoint_stiffness, adjoint_start, tangent, tangent_stiffness,
     tangent_start, coarse_rows, coarse_force, coarse_outer;
 

@@ -18,7 +18,7 @@ void Receivers::build(const ColorSlots& slots, int32_t particle_count, bool own_
   const std::vector<int32_t>& lane_particle = slots.particles();
   std::vector<size_t> color_of;  // of each group
   for (size_t c = 0; c < color_count; ++c) color_of.resize(static_cast<size_t>(colors[c + 1]), c);
-  // The terms of each particle in each color: those of its own slots first, then the others.
+  // The terms of each particle and color: first from its own slots, then from other slots.
   std::vector<Sent> all;
   const auto lanes = static_cast<int64_t>(slots.lanes());
   terms_begin.assign(1, 0);
@@ -26,7 +26,7 @@ void Receivers::build(const ColorSlots& slots, int32_t particle_count, bool own_
     const ColorSlots::Table& table = slots.table(role);
     const int64_t first = terms_begin.back();
     const int own = own_terms ? 1 : 0, points = kOthers[role] + own;
-    std::vector<size_t> group_of;  // of a slot
+    std::vector<size_t> group_of;  // of each slot
     for (size_t g = 0; g + 1 < table.begin.size(); ++g)
       group_of.resize(static_cast<size_t>(table.begin[g + 1]), g);
     terms_begin.push_back(first + static_cast<int64_t>(table.sources.size()) * 3 * points);

@@ -1,4 +1,4 @@
-// Vectors over the particles, as rows of 4 floats, for linear systems.
+// Vectors over the particles for linear systems, stored as rows of 4 floats.
 #pragma once
 
 #include <algorithm>
@@ -24,16 +24,16 @@ inline void upload_rows(DeviceArray<Vec4f>& to, const Rows& rows) {
   to.Array::copy_from_host(rows.data(), to.bytes());
 }
 
-using Numbers = std::vector<double>;  // one for each connected component
-using Flags = std::vector<char>;      // as Numbers
+using Numbers = std::vector<double>;  // one value for each connected component
+using Flags = std::vector<char>;      // one flag for each connected component
 inline bool any(const Flags& flags) {
   return std::any_of(flags.begin(), flags.end(), [](char flag) { return flag != 0; });
 }
 
-// The connected components of the particles that move. A sum belongs to one component, so that no
-// component has a part in the result of another one.
+// The connected components of the particles that move. Sums run over each component separately, so
+// that a component does not influence the results of other components.
 struct Components {
-  const std::vector<int32_t>& of;  // each particle; -1: kinematic
+  const std::vector<int32_t>& of;  // component of each particle; -1: kinematic
   size_t count;
 
   // Calls body(particle, component) for each particle that moves.
@@ -42,7 +42,8 @@ struct Components {
     for (size_t p = 0; p < of.size(); ++p)
       if (of[p] >= 0) body(p, static_cast<size_t>(of[p]));
   }
-  // Returns the inner products in double precision, summed in the order of the particles.
+  // Returns the inner product of each component in double precision, summed in the order of the
+  // particles.
   Numbers inner(const Rows& a, const Rows& b) const {
     Numbers sum(count);
     visit([&](size_t p, size_t c) {
@@ -57,7 +58,7 @@ struct Components {
     for (double& number : all) number = std::sqrt(number);
     return all;
   }
-  // Adds s b to a.
+  // Adds sign s b to a, with one factor s for each component.
   template <class Scale>
   void add_scaled(Rows& a, const std::vector<Scale>& s, const Rows& b, float sign = 1.0f) const {
     visit([&](size_t p, size_t c) {

@@ -10,9 +10,9 @@ namespace {
 
 constexpr const char* kName = "SolverVBD: ";
 constexpr double kLeastSlack = 1e-6;  // m
-constexpr float kParallel = 1e-3f;    // of |e1|^2 |e2|^2, see self_contact_law.h
+constexpr float kParallel = 1e-3f;    // the factor 1e-3 of s in self_contact_law.h
 
-// Returns the radius of contacts: that of the options, or twice the common radius of the vertices.
+// Returns the contact radius (m): the option, or twice the common radius of the vertices.
 float radius_of(const Model& m, const VbdSelfContact& o, std::span<const int32_t> vertices) {
   if (o.radius) return *o.radius;
   const float* const radius = m.particle_radius.data();
@@ -61,7 +61,7 @@ SelfContact::SelfContact(const Model& m, const ColorSlots& slots, const VbdSelfC
   begins_ = DeviceArray<int32_t>(n + 1, m.device());
   numbers_ = DeviceArray<float>(kContactFloats, m.device());
 
-  // A particle of all worlds makes one world of all.
+  // If a particle belongs to all worlds, all particles count as one world.
   const bool is_apart = std::all_of(vertices_.begin(), vertices_.end(),
                                     [&](int32_t p) { return world[index(p)] >= 0; });
   world_.assign(n, 0);
@@ -103,8 +103,8 @@ void SelfContact::begin(const Rows& rows) {
   detections_.assign(index(worlds_), 1);
   std::fill(is_cut_.begin(), is_cut_.end(), 0);
   std::copy(rows.x.begin(), rows.x.end(), wish_.begin());
-  // In a world without kinematic particles the references move by the mean displacement. A common
-  // displacement of all particles causes no crossing.
+  // In a world without kinematic particles the references move by the mean displacement, because a
+  // common displacement of all particles causes no crossing.
   std::vector<Vec3d> shift(index(worlds_));
   std::vector<double> count(index(worlds_));
   for (const int32_t p : vertices_) {
@@ -179,7 +179,7 @@ void SelfContact::find_contacts(const Given& given) {
   lay_numbers(given);
 }
 
-// Lays out the contacts of each particle: first those with shapes, then those of surfaces.
+// Assigns memory to the contacts of each particle: first contacts with shapes, then with surfaces.
 void SelfContact::lay_numbers(const Given& given) {
   const auto shapes_of = [&](int32_t p) {
     return given.begin != nullptr ? given.begin[p + 1] - given.begin[p] : 0;
@@ -196,7 +196,7 @@ void SelfContact::lay_numbers(const Given& given) {
                   numbers_.mutable_data() + index(begin[p]) * kContactFloats);
 }
 
-// Returns the force of a contact at the present positions.
+// Returns the force of a contact at the current positions.
 SurfaceForce<float> SelfContact::force_of(const Contact& c) const {
   const SurfacePair& pair = pairs_[c.pair];
   Vec3d apart{}, moved{};
@@ -222,7 +222,7 @@ SurfaceForce<float> SelfContact::force_of(const Contact& c) const {
   return s;
 }
 
-// Returns how many corners of a contact have the color of its corner p, including p.
+// Returns how many corners of a contact have the color of the corner p. The count includes p.
 float SelfContact::corners_together(const Contact& c, int32_t p) const {
   float count = 0.0f;
   for (size_t k = 0; k < 4; ++k)

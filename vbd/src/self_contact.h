@@ -1,13 +1,14 @@
 // Self-contact in a step of VBD, on the host: pairs of features (collision/surface_pairs.h), their
 // forces (self_contact_law.h), and bounds that keep the surfaces from crossing.
 //
-// A detection takes the present positions as origins. A particle then stays within a distance of
-// its origin, its reach. Pairs that are farther apart than both reaches cannot cross. Each other
-// pair has a plane between its two sides, which no particle of the pair passes.
+// A detection of pairs takes the current positions as origins. Until the next detection a particle
+// stays within a distance of its origin, its reach. A pair that is farther apart than both reaches
+// cannot cross. Every other pair has a plane between its two features, and no particle of the pair
+// passes this plane.
 //
-// If a particle was stopped at a plane, the next iteration computes new planes for the pairs of
-// this particle. If a particle was stopped at the end of its reach, its world gets a new detection,
-// up to kDetections times in a step.
+// If a plane stopped a particle, the next iteration computes new planes for the pairs of this
+// particle. If the end of its reach stopped a particle, its world gets a new detection. Each world
+// has at most kDetections detections in a step.
 #pragma once
 
 #include <cmath>
@@ -39,56 +40,58 @@ class SelfContact {
  public:
   static constexpr int kDetections = 5;
 
-  // The memory of a step with one row for each particle, and the numbers of the step.
+  // The memory of a step, one row for each particle, and the scalars of the step.
   struct Rows {
     std::span<const Vec4f> start;
     std::span<Vec4f> moved, x;
     float h = 0.0f;     // s
     float slip = 0.0f;  // m, eps of particle_contact_law.h
   };
-  // The contacts of particles with shapes, see VbdSweepArguments. Null: none.
+  // The contacts of particles with shapes (see VbdSweepArguments). Null: no contacts.
   struct Given {
     const int32_t* begin = nullptr;
     const float* numbers = nullptr;
   };
 
-  // `model`: on the host. ErrorKind::Value: no triangles; particles of several radii, and no radius
-  // in the options; a radius above the length of the shortest edge.
+  // `model`: on the host. ErrorKind::Value: the model has no triangles, particles have several
+  // radii and the options have none, or the radius is above the length of the shortest edge.
   SelfContact(const Model& model, const ColorSlots& slots, const VbdSelfContact& options);
 
   // Detects pairs at the start of a step, and moves the particles towards the initial guess as far
-  // as the bounds allow. ErrorKind::Value, with the pair: surfaces cross at the start.
+  // as the bounds allow. ErrorKind::Value: surfaces cross at the start. The message names the
+  // features.
   void begin(const Rows& rows);
-  // Computes new bounds for particles that a bound has stopped.
+  // Computes new bounds for particles that a bound stopped.
   void detect_again();
-  // Finds the contacts of x, with their weights and normals.
+  // Finds the contacts at the positions x, with their weights and normals.
   void find_contacts(const Given& given);
-  // Writes the numbers of the contacts of the particles of some groups, at the positions x.
+  // Computes the stored values of the contacts of some groups' particles, at the positions x.
   void put_numbers(int64_t first_group, int64_t end_group);
-  // Moves the particles of some groups back to their bounds.
+  // Moves the particles of some groups back into their bounds.
   void hold(int64_t first_group, int64_t end_group);
   // Ends the step. ErrorKind::Runtime: a kinematic particle would cross a surface on its way.
   void end();
 
   VbdSelfContacts contacts() const;
-  // The contacts of particles with surfaces and with shapes: see VbdSweepArguments.
+  // The contacts of particles with surfaces and with shapes, as arguments of VbdSweepArguments.
   const DeviceArray<int32_t>& begins() const { return begins_; }
   const DeviceArray<float>& numbers() const { return numbers_; }
 
  private:
   using Vec3d = geometry::Vec3d;
-  // The plane normal.x = offset between the sides of a pair. The first side has normal.x > offset.
+  // The plane normal.x = offset between the two features of a pair. The first feature has normal.x
+  // > offset.
   struct Plane {
     Vec3d normal{};
     double offset = 0.0;
-    // Returns how far a particle above may approach (m).
+    // Returns the distance (m) of a point from the plane, positive above the plane.
     double height(const Vec3d& x) const { return math::dot(normal, x) - offset; }
   };
   struct Contact {
     size_t pair;
     Vec3d normal;
     double weight[4], gap;
-    float factor, load;  // (2 - s) s of self_contact_law.h; N, the load at the iteration's start
+    float factor, load;  // (2 - s) s of self_contact_law.h; load (N) at iteration start
   };
 
   Vec3d at(int32_t p) const;
@@ -113,14 +116,14 @@ class SelfContact {
   int32_t worlds_ = 1;
   std::vector<Vec4f> rest_, origin_, reference_, wish_, ended_;
   std::vector<float> reach_, safe_;
-  std::vector<geometry::Box3> regions_;      // of particles, around origin_ and wish_
-  std::vector<char> is_cut_, moves_freely_;  // of particles; of worlds
-  std::vector<int> detections_;              // of worlds, in this step
-  double slack_ = 0.0;                       // m: kept distance to planes
+  std::vector<geometry::Box3> regions_;      // of particles: boxes around origin_ and wish_
+  std::vector<char> is_cut_, moves_freely_;  // flag of particles; flag of worlds
+  std::vector<int> detections_;              // of worlds: count in this step
+  double slack_ = 0.0;                       // m: least distance to planes
   std::vector<Plane> planes_;                // of pairs
   std::vector<Plane> planes_of_;             // of the items of pairs_of_, with the particle above
-  std::vector<float> moved_;                 // m: of particles, from origin_
-  std::vector<int32_t> corners_;             // of pairs or contacts
+  std::vector<float> moved_;                 // of particles: distance from origin_ (m)
+  std::vector<int32_t> corners_;             // corners of pairs or contacts
   std::span<const SurfacePair> pairs_;
   std::vector<Contact> contacts_;
   DeviceArray<int32_t> begins_;
@@ -129,7 +132,7 @@ class SelfContact {
   Rows rows_;
 };
 
-// Calls body(particle) for the particles of some groups.
+// Calls body(particle) for each particle of some groups.
 template <class Body>
 inline void SelfContact::for_particles(int64_t first_group, int64_t end_group,
                                        const Body& body) const {

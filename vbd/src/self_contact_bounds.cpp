@@ -1,4 +1,5 @@
-// The bounds that keep surfaces from crossing: reaches, planes, and the moves up to them.
+// The bounds that keep surfaces from crossing (self_contact.h): reaches, planes, and the moves of
+// particles up to these bounds.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -8,14 +9,14 @@
 namespace novaphy::vbd {
 namespace {
 
-// A particle that would pass a plane goes this part of the way to the plane.
+// If a particle would pass a plane, it moves by this part of its distance to the plane.
 constexpr double kShare = 0.85;
-constexpr double kLeastRoom = 0.05;         // part of a gap, for the side that hardly moves
+constexpr double kLeastRoom = 0.05;         // of a gap: least room of each side
 constexpr char kByPlane = 1, kByReach = 2;  // the bound that stopped a particle
 
 }  // namespace
 
-// Sets the reach and the region of the particles of a world.
+// Sets the reach of each particle of a world, and the region (box) in which it may move.
 void SelfContact::set_reach(int32_t world) {
   const Vec3f around = Vec3f{gap_, gap_, gap_} * 0.5f;
   for (const int32_t p : vertices_) {
@@ -41,7 +42,8 @@ void SelfContact::detect() {
   for (const int32_t p : vertices_) set_planes(p);
 }
 
-// Sets the planes of a particle, and how far it may move from its reference without a look at them.
+// Sets the planes of a particle. Also sets the distance that the particle may move from its
+// reference before its planes need a check.
 void SelfContact::set_planes(int32_t p) {
   double least = std::numeric_limits<float>::max();
   const Vec3d x = wide(reference_[index(p)]);
@@ -63,7 +65,7 @@ SelfContact::Plane SelfContact::plane_between(const SurfacePair& pair) const {
   }
   const auto nearest =
       pair.has_edges ? geometry::nearest_of_edges(x) : geometry::nearest_to_triangle(x);
-  // Heights above a corner of the second side, which a plane through the origin would round.
+  // Heights relative to a corner of the second feature. Heights relative to the origin would round.
   double best = -std::numeric_limits<double>::infinity(), top = 0.0;
   Vec3d normal{};
   const auto try_normal = [&](Vec3d n) {
@@ -91,7 +93,7 @@ SelfContact::Plane SelfContact::plane_between(const SurfacePair& pair) const {
     try_normal(n);
     try_normal(n * -1.0);
   }
-  double first = 0.0, second = 0.0;  // approach of the sides
+  double first = 0.0, second = 0.0;  // how far each feature approaches the other
   for (int k = 0; k < 4; ++k) {
     const double up = math::dot(normal, wish[k]);
     (pair.is_first(k) ? first : second) =
@@ -107,7 +109,7 @@ void SelfContact::hold_particle(int32_t p) {
   if (!surface_->is_vertex(p)) return;
   const Vec3d from = wide(reference_[i]), to = wide(rows_.x[i]), d = to - from;
   const double squared = math::dot(d, d), reach = wide(reach_[i]), safe = wide(safe_[i]);
-  // The reference is within the reach of the origin. Solves |from + t d - origin| = reach.
+  // The reference lies within the reach of the origin. Solve |from + t d - origin| = reach for t.
   const Vec3d off = from - wide(origin_[i]), end = off + d;
   double t = 1.0;
   if (math::dot(end, end) > reach * reach) {
@@ -187,8 +189,8 @@ void SelfContact::detect_again() {
   }
 }
 
-// Computes new planes, at the present positions, for the pairs of particles that a plane stopped.
-// Worlds with is_new[world] have new planes already.
+// Computes new planes at the current positions for the pairs of particles that a plane stopped.
+// Worlds with is_new[world] already have new planes.
 void SelfContact::place_again(std::span<const char> is_new) {
   std::vector<size_t> due;
   std::vector<int32_t> moved;

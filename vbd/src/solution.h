@@ -1,6 +1,6 @@
-// Solves a step of VBD to convergence, and linear systems at its solution. Newton's method and a
-// Krylov method use the sweeps of a step (StepTangent, StepAdjoint), which run on the model's
-// device. The vectors here are on the host.
+// Solves a step of VBD to convergence, and solves linear systems at its solution. Newton's method
+// and a Krylov method use the sweeps of a step (StepTangent, StepAdjoint), which run on the model's
+// device. The vectors in this file are on the host.
 #pragma once
 
 #include <algorithm>
@@ -16,8 +16,8 @@
 namespace novaphy::vbd {
 
 // Solves J solution = load, with J = -df/dx over the particles that move. step.sweep(r, z, image)
-// sets z to the result of a sweep from 0 for the load r, and image to the tangent of the forces
-// along z.
+// sets z to the result of a sweep for the load r that starts from 0. It also sets image to the
+// tangent of the forces along z.
 template <class Step>
 void solve_linear(Step& step, Rows& solution, Rows& load, const Numbers& tolerance, int32_t sweeps,
                   std::vector<KrylovResult>& results) {
@@ -28,25 +28,25 @@ void solve_linear(Step& step, Rows& solution, Rows& load, const Numbers& toleran
                });
 }
 
-// The result of conjugate gradients for J way = load, with constant loads of friction.
+// The result of conjugate gradients for J way = load, with constant friction loads.
 struct Descent {
-  Rows way;           // the sum of the steps before the first direction of negative curvature
+  Rows way;           // sum of the steps before negative curvature
   Rows down;          // the direction of negative curvature
   Flags curves_down;  // whether a component has such a direction
 };
 
-// Runs conjugate gradients, preconditioned by sweeps. The energy falls along the way. If the first
-// direction has negative curvature, the way is this direction (Nocedal and Wright, Numerical
-// Optimization, algorithm 7.1).
+// Runs conjugate gradients with sweeps as the preconditioner. The energy falls along `way`. If the
+// first direction already has negative curvature, `way` is this direction (Nocedal and Wright,
+// Numerical Optimization, algorithm 7.1).
 template <class Step>
 Descent find_descent(Step& step, Rows load, const Numbers& tolerance, int32_t sweeps) {
-  constexpr double kRounding = 1e-5;  // relative rounding of a curvature
+  constexpr double kRounding = 1e-5;  // relative rounding error of a curvature
   const Components of = step.components();
   const Numbers scale = of.inner(load, load);
   Descent found = {Rows(load.size()), Rows(load.size()), Flags(of.count)};
   Flags runs(of.count);
   for (size_t c = 0; c < of.count; ++c) runs[c] = scale[c] > 0.0;
-  KeptDirections kept{of, {}, {}, {}};  // its sizes are the curvatures
+  KeptDirections kept{of, {}, {}, {}};  // sizes: the curvatures
   for (int32_t k = 0; k < sweeps && any(runs); ++k) {
     kept.make_room();
     Rows z(load.size()), image(load.size());
@@ -76,14 +76,14 @@ Descent find_descent(Step& step, Rows load, const Numbers& tolerance, int32_t sw
   return found;
 }
 
-// The places of the particles along a line from the present ones.
+// A line from the current positions, along which components move.
 template <class Step>
 struct Line {
   Step& step;
   const Rows x = step.positions(), moved = step.moves(), start = step.starts();
 
-  // Moves each component by its part of the way. A part of 0 leaves a component in place, and
-  // kinematic particles stay.
+  // Moves each component by its `part` of `way`. A component with part 0 stays in place, and so do
+  // kinematic particles.
   template <class Part>
   void go(const Rows& way, const std::vector<Part>& part) const {
     Rows to = x, now = moved;
@@ -94,7 +94,7 @@ struct Line {
     });
     step.place(to, now);
   }
-  // Runs iterations of VBD for some components.
+  // Runs iterations of VBD for the components with a flag in `some`.
   void iterate(const Flags& some, int iterations) const {
     for (int i = 0; i < iterations; ++i) step.iterate_again();
     Rows to = step.positions(), now = step.moves();
@@ -107,10 +107,11 @@ struct Line {
   }
 };
 
-// Moves the particles along the way, and halves the step until the energy falls enough (Armijo).
-// The loads of friction are constant. The change of the energy is the work of the forces along the
-// step, by Simpson's rule, because rounding hides small changes of the energy. Returns the part of
-// the way of each component, or 0 with the old positions.
+// Line search: moves the particles along `way`, and halves the step until the energy falls enough
+// (Armijo condition). The friction loads are constant. The change of the energy is the work of the
+// forces along the step by Simpson's rule, because rounding hides small changes of the energy.
+// Returns the part of `way` that each component moved. A component that finds no step has part 0,
+// and gets its old positions back.
 template <class Step>
 Numbers descend(Step& step, const Rows& way) {
   constexpr int kHalvings = 12;
@@ -142,9 +143,9 @@ Numbers descend(Step& step, const Rows& way) {
   return part;
 }
 
-// Takes a step of Newton's method with the whole derivative of the forces, friction included, for
-// some components. A component keeps the step if its force falls by half or more. Other components
-// get their old positions back.
+// Takes a step of Newton's method for the components with a flag in `some`, with the complete
+// derivative of the forces, friction included. A component keeps the step if its force falls by
+// half or more. Other components get their old positions back.
 template <class Step>
 void refine(Step& step, const Rows& force, Flags& some, double tolerance, int32_t sweeps) {
   const Components of = step.components();
@@ -160,7 +161,7 @@ void refine(Step& step, const Rows& force, Flags& some, double tolerance, int32_
   line.go(newton, some);
 }
 
-// Returns a pseudorandom load. The load of a component does not depend on other components.
+// Returns a pseudorandom load. The load of a component does not depend on the other components.
 inline Rows scattered_load(const Components& of) {
   Rows load(of.of.size());
   std::vector<uint32_t> next(of.count);
@@ -176,9 +177,9 @@ inline Rows scattered_load(const Components& of) {
   return load;
 }
 
-// Returns the directions `down` of some components, each with the sign along which the forces push.
-// The largest row of a component is as long as the longest displacement of its particles in the
-// step, if particles moved.
+// Returns the direction `down` of each component with a flag in `some`, with the sign along which
+// the forces push. A direction is scaled so that its longest row equals the longest displacement of
+// the component's particles in the step. If no particle moved, `down` is not scaled.
 template <class Step>
 Rows way_off_saddle(Step& step, const Flags& some, const Rows& down) {
   const Components of = step.components();
@@ -210,7 +211,8 @@ struct Solution {
   bool is_solved(double tolerance) const {
     return is_minimum && residual.relative <= allowed(tolerance);
   }
-  // ErrorKind::Runtime: the step is not solved. `name` begins the message, and `advice` ends it.
+  // ErrorKind::Runtime: the step is not solved. The message begins with `name` and ends with
+  // `advice`.
   void check(const char* name, double tolerance, int32_t iterations, const char* advice) const {
     require(is_minimum, ErrorKind::Runtime, name,
             ": the step was not solved: expected a minimum of its energy, got a saddle, where "
@@ -223,20 +225,21 @@ struct Solution {
   }
 };
 
-// Solves the step until the relative residual of each component is at most the tolerance or twice
-// the rounding floor, or until `iterations` are over, by Newton's method on the energy.
-// - An iteration keeps the loads of friction, so that the forces have an energy, and makes this
-//   energy fall. After a whole step without negative curvature the next step uses the whole
-//   derivative of the forces.
+// Solves the step by Newton's method on the energy. The iteration ends when the relative residual
+// of each component is at most the tolerance or twice the rounding floor, or after `iterations`.
+// - An iteration holds the friction loads constant, so that the forces have an energy, and makes
+//   this energy fall. After a whole step without negative curvature the next step uses the complete
+//   derivative of the forces (refine).
 // - Iterations of VBD replace a step that fails. In the first half of the iterations they also
 //   replace a step that meets negative curvature, because that step can lead to another minimum.
-// - Where the residual is small, conjugate gradients for a pseudorandom load look for negative
-//   curvature. The step leaves a saddle along a direction of negative curvature.
+// - If the residual is small, conjugate gradients for a pseudorandom load search for negative
+//   curvature. If they find a direction of negative curvature, the point is a saddle, and the step
+//   leaves the saddle along this direction.
 template <class Step>
 Solution solve_nonlinear(Step& step, double tolerance, int32_t iterations, int32_t sweeps) {
   constexpr int kIterationsInstead = 20;  // cheaper than a step of Newton's method
   constexpr double kForcing = 1e-2;  // tolerance of the linear systems: an inexact Newton method
-  constexpr double kSmall = 1e-3;    // the same in the search for a way down from a saddle
+  constexpr double kSmall = 1e-3;    // the same, in the search for negative curvature
   const Components of = step.components();
   const size_t count = of.count;
   Flags runs(count, 1), is_near(count);
@@ -286,11 +289,11 @@ Solution solve_nonlinear(Step& step, double tolerance, int32_t iterations, int32
   }
 }
 
-// Solves J^T solution = given until the true residual is small enough, because the residual of the
-// recurrence drifts by rounding. step.reverse_sweep(r, z, left) runs a sweep in reverse for the
-// load r: z are its multipliers, and left is what remains of r. step.balance(given, multipliers)
-// returns what remains of `given`. step.balance also accumulates the derivatives for each input of
-// f.
+// Solves J^T solution = given, until the true residual is small enough. The residual of the
+// recurrence is not sufficient, because it drifts by rounding. step.reverse_sweep(r, z, left) runs
+// a sweep in reverse for the load r: z are the multipliers, and left is r - J^T z.
+// step.balance(given, multipliers) returns given - J^T multipliers. It also accumulates the
+// derivatives with respect to each input of f.
 template <class Step>
 KrylovResult solve_transposed(Step& step, const Rows& given, double tolerance, int32_t sweeps) {
   const Components of = step.components();
@@ -305,7 +308,7 @@ KrylovResult solve_transposed(Step& step, const Rows& given, double tolerance, i
     return residual = free_rows(step.balance(given, multipliers));
   };
   const auto more = [&](const Numbers& asked, std::vector<KrylovResult>& results) {
-    // A sweep in reverse subtracts from r the image J^T z of the multipliers z that it finds.
+    // A reverse sweep subtracts from r the image J^T z of the multipliers z.
     Rows part;
     solve_krylov(of, part, residual, asked, sweeps, results,
                  [&](const Rows& r, Rows& z, Rows& image) {

@@ -40,7 +40,7 @@ void check_options(const VbdOptions& o) {
           name, "lhs_regularization: expected a finite number >= 0, got ", o.lhs_regularization);
 }
 
-// Self-contact runs beside the iterations alone.
+// Raises an error for options that are not supported together with self-contact.
 void check_self_contact(const VbdOptions& o) {
   if (!o.self_contact) return;
   const std::pair<const char*, bool> others[] = {{"coarse", o.coarse},
@@ -53,7 +53,8 @@ void check_self_contact(const VbdOptions& o) {
             ": not supported together with particle_enable_self_contact");
 }
 
-// With `converged` all iterations run, because the tolerance is that of the solution.
+// Returns the options of the iterations. With `converged` all iterations run, because the tolerance
+// is meant for the solution by Newton's method.
 VbdOptions options_of_step(VbdOptions o) {
   if (o.converged) o.tolerance.reset();
   return o;
@@ -70,7 +71,7 @@ struct SolverVBD::Work {
       last = DeviceArray<Vec4f>(static_cast<size_t>(m.particle_count()), m.device());
     }
   }
-  // Moves the step that has run to its solution.
+  // Iterates a step that has run to its solution.
   void solve(const VbdOptions& o) {
     step.check();
     const VbdGradientOptions limits;
@@ -86,8 +87,8 @@ struct SolverVBD::Work {
 
   vbd::Step step;
   vbd::StepTangent tangent{step};
-  std::optional<vbd::Bodies> bodies;  // none: the model has no bodies
-  // previous velocity, for the adaptive guess (see VbdStepInputs); else without rows
+  std::optional<vbd::Bodies> bodies;  // empty: the model has no bodies
+  // previous velocity for the adaptive guess (see VbdStepInputs); without rows: not used
   DeviceArray<Vec4f> last;
   bool has_stepped = false;
 };

@@ -179,8 +179,8 @@ VbdSweepArguments Step::sweep(int64_t first_group, int64_t end_group) const {
           .residual = of_particles_};
 }
 
-// Returns the number of groups of threads in a block if blocks of threads move the colors. Returns
-// 0 if single threads do.
+// Returns the number of groups of a thread block if thread blocks move the colors. Returns 0 if
+// single threads move the particles.
 int64_t Step::find_mover() const {
   if (tables_->block_groups == 0) return 0;
   const char* const variable = std::getenv("NOVAPHY_VBD_SWEEP");
@@ -192,7 +192,7 @@ int64_t Step::find_mover() const {
                                                                          : tables_->block_groups;
 }
 
-// Writes activations into the slots that do not hold them yet.
+// Writes activations into the slots whose stored activation differs.
 void Step::activate(const StepInputs& in) {
   for_activated_roles([&](auto is) {
     using Slot = typename decltype(is)::Slot;
@@ -207,7 +207,7 @@ void Step::activate(const StepInputs& in) {
   });
 }
 
-// Computes the numbers of the slots of a role from the present model.
+// Computes the numbers of the slots of a role from the current model.
 template <Role role>
 void Step::put_numbers(const StepInputs& in, const Kernel<VbdNumbersArguments>& numbers) const {
   using Slot = SlotOf<role>;

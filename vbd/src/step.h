@@ -1,6 +1,6 @@
-// A step of VBD: its tables, its memory, and the list of its launches (step_list.h), on any device.
-// On the CPU without a recorder, the host checks a step between two stretches of the list.
-// Otherwise kernels note faults (vbd::note_fault), and check() reports them.
+// A step of VBD on any device: its tables, its memory, and the list of its launches (step_list.h).
+// On the CPU, if no recorder takes the launches, the host checks the step between parts of the
+// list. Otherwise kernels note faults (vbd::note_fault), and check() reports them.
 #pragma once
 
 #include <deque>
@@ -39,57 +39,57 @@ DeviceArray<T> upload(const std::vector<U>& values, Device device) {
 
 class Step {
  public:
-  using Rows4 = DeviceArray<Vec4f>;  // a row of four floats per particle
+  using Rows4 = DeviceArray<Vec4f>;  // a row of four floats for each particle
 
-  // ErrorKind::NotImplemented: a device for which the build has no code, or `tolerance` on one.
-  // `damps_inside`: contacts damp only the motion inside the overlap (particle_contact_law.h).
+  // ErrorKind::NotImplemented: a device for which the build has no code, or `tolerance` on a
+  // device. `damps_inside`: the value of `inside` in particle_contact_law.h.
   Step(const Model& m, const VbdOptions& o, bool damps_inside = false);
 
-  // Rebuilds the slots from the present model.
+  // Rebuilds the slots from the current model.
   void build();
-  // Rebuilds the tables if the arrays or dt behind them have changed. `damps`: include the terms of
-  // damping even if all coefficients are 0. Errors: as for SolverVBD::step.
+  // Rebuilds the tables if dt or the arrays of the model have changed. `damps`: the step has
+  // damping terms even if all coefficients are 0. Errors: as for SolverVBD::step.
   void update(float dt, bool damps = false);
-  // `in_use` marks the solver's memory as used. A recording holds the mark.
+  // Runs a step. `in_use` marks the memory of the solver as used, and a recording keeps this mark.
   void run(const StepInputs& in, const StepResults& out,
            const std::shared_ptr<ExclusiveUse>& in_use);
-  // After a run that kept no iterates: iterate_again runs one more iteration, and finish_again
-  // writes the results from the present x.
+  // For use after a run that stored no iterates: iterate_again runs one more iteration, and
+  // finish_again writes the results from the current x.
   void iterate_again();
   void finish_again() const;
-  // Waits for all launches. ErrorKind::Runtime: since the last check a step met numbers that are
-  // not finite, or contacts that had overflowed. The error is reported once.
+  // Waits for all launches. ErrorKind::Runtime: since the last check a step had values that are not
+  // finite, or contacts that had overflowed. Each error is reported once.
   void check();
   void find_residuals();
   VbdResidual last_residual() const;  // of the last find_residuals
   VbdResidual residual();
-  // Returns whether the residual of each component is at most the tolerance or twice its floor.
+  // Returns for each component whether its residual is at most the tolerance or twice its floor.
   Flags solved(double tolerance);
 
   const Model& model() const { return model_; }
-  // Returns the model on the host that the slots were made from: a copy if the model is on a
-  // device.
+  // Returns the model on the host from which the slots were made. This is a copy if the model is on
+  // a device.
   const Model& host_model() const { return *copy_; }
   const VbdOptions& options() const { return options_; }
   Device device() const { return model_.device(); }
   bool on_cpu() const { return on_cpu_; }
   const ColorSlots& slots() const { return slots_; }
-  // Returns the coarse correction. Null: not wanted, or no two particles that move share an
+  // Returns the coarse correction. Null: the option is off, or no two moving particles share an
   // element.
   const Coarse* coarse() const { return coarse_ && coarse_->systems() > 0 ? &*coarse_ : nullptr; }
   Components components() const {
     return {slots_.components(), static_cast<size_t>(slots_.component_count())};
   }
-  // Returns the contacts of surfaces with each other. Null: not wanted.
+  // Returns the self-contact. Null: the option is off.
   const SelfContact* self_contact() const { return self_contact_ ? &*self_contact_ : nullptr; }
   const std::vector<int64_t>& colors() const { return slots_.color_begin(); }
   uint64_t builds() const { return builds_; }    // count of builds of the slots
-  uint64_t version() const { return version_; }  // changes with the memory of launches
+  uint64_t version() const { return version_; }  // changes when the memory of launches changes
   float dt() const { return tables_->dt; }
   bool damps() const { return damps_; }
   int64_t block_groups() const {
     return block_groups_;
-  }  // of the last run; 0: a thread for each particle
+  }  // of the last run; 0: one thread for each particle
   bool is_held(size_t p) const { return slots_.is_held(static_cast<int32_t>(p)); }
   int32_t kinematic_count() const { return static_cast<int32_t>(held_.rows()); }
   // Returns whether the initial guess of a step uses the previous velocity.
@@ -97,20 +97,23 @@ class Step {
     return options_.initial_guess == VbdInitialGuess::Adaptive && in.last_velocity.rows() != 0;
   }
 
-  // State of the last run.
+  // State after the last run.
   bool has_contacts() const { return has_contacts_; }
   VbdSweepArguments sweep(int64_t first_group, int64_t end_group) const;
   VbdAccelerateArguments acceleration(int32_t iteration) const;
-  // Returns the launch that moves the particles of some groups to the rows of `from`.
+  // Returns the arguments of the launch that moves the particles of some groups to the rows of
+  // `from`.
   VbdCommitArguments commit(int64_t first_group, const Rows4& from) const;
-  // The positions before and after the sweep of each iteration. Without a coarse correction, the
-  // positions after a sweep are those before the next, and of the last they are not kept.
+  // Return the positions before and after the sweep of an iteration. Without a coarse correction,
+  // the positions after a sweep are the positions before the next sweep, and the last ones are not
+  // stored.
   const Rows4& before(size_t iteration) const { return iterates_[stride() * iteration]; }
   const Rows4& after_sweep(size_t iteration) const { return iterates_[2 * iteration + 1]; }
-  // With a coarse correction: the line searches of an iteration, and the positions at the end.
+  // With a coarse correction: the line searches of an iteration, and the positions after the last
+  // iteration.
   const Rows4& search(size_t iteration) const { return searches_[iteration]; }
   const Rows4& end() const { return iterates_.back(); }
-  int32_t halvings() const;  // number of kept line searches that did not take the whole step
+  int32_t halvings() const;  // number of stored line searches with a shortened step
   const Rows4& start() const { return start_; }
   const Rows4& moved() const { return moved_; }
   const Rows4& x() const { return x_; }
@@ -122,29 +125,30 @@ class Step {
   const DeviceArray<int32_t>& held() const { return held_; }
   const DeviceArray<int32_t>& particles() const { return tables_->particle; }  // of all lanes
   const DeviceArray<int32_t>& filled() const { return tables_->filled; }       // of all groups
-  // Contacts in the order of the particles. The arrays have room for all slots of the contacts.
+  // Contacts, sorted by particle. The arrays are large enough for all slots of the contacts.
   const DeviceArray<int32_t>& contact_begin() const { return contact_begin_; }
   const DeviceArray<int32_t>& contact_items() const { return contact_items_; }
 
  private:
-  // A material of elements, and which of its numbers may differ from 0: see vbd_material.
+  // A material of elements that replays may change. `allowed`: which of its values may differ from
+  // 0, see vbd_material.
   struct Trained {
     const char* name;
     const Array* array;
     DeviceArray<int32_t> allowed;
   };
-  // Tables that depend on the model and the step size.
+  // Tables that depend on the model and on the step size.
   struct Tables {
     float dt = 0.0f;
-    int64_t damped = 0;        // a bit for each role
-    int64_t block_groups = 0;  // groups of a block; 0: too many slots for a block
+    int64_t damped = 0;        // bit r: role r has damping
+    int64_t block_groups = 0;  // groups of a thread block; 0: too many slots for a block
     bool is_recorded = false;  // replays write the activations
     DeviceArray<int32_t> particle, filled;
     DeviceArray<float> mass_by_h2;
     DeviceArray<uint64_t> begin[kRoles];
     DeviceArray<int32_t> ints[kRoles];
     DeviceArray<float> floats[kRoles];
-    DerivedStamp activations[kRoles];      // the activations that the slots hold
+    DerivedStamp activations[kRoles];      // the activations that the slots contain
     DeviceArray<int32_t> sources[kRoles];  // see VbdNumbersArguments
     std::vector<Trained> trained;          // the materials that replays may change
   };
@@ -154,7 +158,7 @@ class Step {
     DerivedStamp stamp;
   };
 
-  // Returns whether launches run at once, so that the host sees their results.
+  // Returns whether launches run at once, so that the host can read their results.
   bool is_immediate() const { return runs_at_once(device()); }
   // step_tables.cpp
   void build_tables(float dt);
@@ -178,7 +182,7 @@ class Step {
   void reserve_training();
   void watch_materials();
   void check_trained() const;
-  size_t stride() const { return coarse() != nullptr ? 2 : 1; }  // kept positions of an iteration
+  size_t stride() const { return coarse() != nullptr ? 2 : 1; }  // stored positions per iteration
   StepList& list_for(const StepInputs& in, const StepResults& out);
   int64_t find_mover() const;
   // step_self_contact.cpp
@@ -191,7 +195,7 @@ class Step {
   EditedValues edited_{"SolverVBD"};
   std::shared_ptr<const Model> copy_;  // see host_model
   std::deque<Stamped> mesh_, values_;
-  std::vector<const Array*> read_;  // the arrays of both
+  std::vector<const Array*> read_;  // the arrays of mesh_ and values_
   size_t of_elements_ = 0;          // count of values_ that belong to elements
   ColorSlots slots_;
   std::optional<Coarse> coarse_;
@@ -216,7 +220,7 @@ class Step {
     std::vector<Vec3<double>> moments;
     Numbers masses, squares;
   };
-  struct Sums {  // squares of VbdResidual::force and scale, and of their product with the floor
+  struct Sums {  // squares of VbdResidual::force, of scale, and of floor times scale
     double force, scale, rounding;
   };
   // Memory of find_motion, sum_residuals and iterate_to, on the host.

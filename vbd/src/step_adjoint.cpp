@@ -5,7 +5,7 @@
 namespace novaphy::vbd {
 namespace {
 
-constexpr int64_t kGroupsPerChunk = 4;  // groups that a thread of the CPU takes at a time
+constexpr int64_t kGroupsPerChunk = 4;  // groups that a CPU thread takes at a time
 
 }  // namespace
 
@@ -65,7 +65,7 @@ void StepAdjoint::reserve() {
   if (step_.coarse() != nullptr)
     while (fields_.size() < static_cast<size_t>(step_.options().iterations))
       fields_.emplace_back(n, device);
-  const size_t contacts = step_.contact_items().rows();  // capacity of the step
+  const size_t contacts = step_.contact_items().rows();  // capacity for contacts
   if (contact_bars_.rows() == contacts * kContactLawFloats) return;
   contact_bars_ = DeviceArray<float>(contacts * kContactLawFloats, device);
   shape_of_contact_ = DeviceArray<int32_t>(contacts, device);
@@ -124,7 +124,8 @@ void StepAdjoint::add_receive(size_t color, const Rows4* own, const Rows4& rows,
               .parts = parts});
 }
 
-// Adds the launches of the reverse step of some groups, without the sums over receivers.
+// Adds the launches of the reverse step of some groups. The sums over receivers are added
+// separately.
 void StepAdjoint::add_groups(const VbdAdjointArguments& a, bool at_solution) {
   const int64_t groups = a.sweep.end_group - a.sweep.first_group, lanes = step_.slots().lanes();
   const Kernel<VbdAdjointArguments>& slots =
@@ -146,15 +147,15 @@ void StepAdjoint::add_everywhere(const VbdAdjointArguments& a) {
   add_receive_all();
 }
 
-// Each particle adds its own part before the parts from other particles.
+// The loop first adds the particle's own terms, then the terms from other particles.
 void StepAdjoint::add_receive_all() {
   for (const int64_t parts : {kVbdReceiveOwn, kVbdReceiveOthers})
     for (size_t color = 0; color + 1 < step_.colors().size(); ++color)
       add_receive(color, &own_, x_bar_, parts);
 }
 
-// The translation s solves B s = F over a free system, with the sums of f and of the blocks of
-// inertia and contacts.
+// The reverse of the balance. The translation s solves B s = F for a free system. F is the sum of
+// the forces, and B is the sum of the stiffnesses of inertia and contacts.
 void StepAdjoint::add_coarse_balance() {
   const Coarse& coarse = *step_.coarse();
   const auto last = static_cast<size_t>(step_.options().iterations);
@@ -166,7 +167,7 @@ void StepAdjoint::add_coarse_balance() {
   VbdCoarseArguments c = coarse.arguments(step_.sweep(0, groups), 0);
   c.sweep.x = step_.before(last);
   list_->add(kernels().coarse_outer, lanes, c);
-  c.force = x_bar_;  // the adjoint of s is the sum of those of the positions
+  c.force = x_bar_;  // the adjoint of s is the sum of the positions' adjoints
   list_->add(kernels().coarse_balance, coarse.systems(), c);
   const auto n = static_cast<int64_t>(multipliers_.rows());
   list_->add(kernels().clear, 4 * n, {.values = Untyped(multipliers_)});
@@ -176,8 +177,8 @@ void StepAdjoint::add_coarse_balance() {
   list_->add(kernels().adjoint_outer, lanes, a);
 }
 
-// The adjoint of the coarse step x += t P A^-1 P^T f (coarse_kernels.h), with A held constant. xbar
-// is the adjoint of x. The forces f get the adjoint t P A^-1 P^T xbar.
+// The adjoint of the coarse step x += t P A^-1 P^T f (coarse_kernels.h) with constant A. Let xbar
+// be the adjoint of x. The forces f get the adjoint t P A^-1 P^T xbar.
 void StepAdjoint::add_coarse_step(size_t iteration) {
   const Coarse& coarse = *step_.coarse();
   const int64_t groups = step_.colors().back();
@@ -197,7 +198,7 @@ void StepAdjoint::add_coarse_step(size_t iteration) {
   add_everywhere(a);
 }
 
-// All coarse steps d share A. The adjoint of each is that of -u.(H d) with its field u.
+// All coarse steps share the matrix A. Each step d with its field u adds the adjoint of -u.(H d).
 void StepAdjoint::add_coarse_matrices() {
   const int64_t groups = step_.colors().back();
   for (size_t k = 0; k < fields_.size(); ++k) {
@@ -210,8 +211,8 @@ void StepAdjoint::add_coarse_matrices() {
   }
 }
 
-// Adds the reverse of the slots' numbers of the start. On the CPU a particle adds its own part when
-// its color comes.
+// Adds the adjoint of the slots' values at the start of the step. On the CPU a particle adds its
+// own part when its color is visited.
 void StepAdjoint::add_starts() {
   const std::vector<int64_t>& colors = step_.colors();
   const int64_t lanes = step_.slots().lanes();
@@ -277,12 +278,12 @@ void StepAdjoint::make_list(const VbdAdjointBeginArguments& begin,
   add_starts();
 }
 
-// Prepares the list for a step that has run.
+// Prepares the list of launches for a step that has run.
 void StepAdjoint::prepare(const StepInputs& in, const ResultAdjoints& adjoints,
                           const StepDerivatives& to, bool at_solution) {
   reserve();
   const float inverse_h = 1.0f / step_.dt();
-  // The destination of the adjoint of the initial guess, see vbd_particle_gradient.
+  // The array that receives the adjoint of the initial guess, see vbd_particle_gradient.
   const bool from_start = step_.options().initial_guess == VbdInitialGuess::Previous;
   const Rows4* const guess = at_solution || step_.looks_back(in) ? nullptr
                              : from_start                        ? &start_bar_

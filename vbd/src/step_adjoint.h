@@ -1,5 +1,5 @@
-// A step of VBD in reverse, as lists of launches: from the adjoints of its results to the adjoints
-// of its inputs.
+// A step of VBD in reverse, as lists of launches. The step maps the adjoints of its results to the
+// adjoints of its inputs.
 #pragma once
 
 #include <optional>
@@ -12,7 +12,7 @@
 
 namespace novaphy::vbd {
 
-// The adjoints of the results of a step. Without rows: 0.
+// The adjoints of the results of a step. An array without rows means 0.
 struct ResultAdjoints {
   const Array &q, &qd;
 };
@@ -21,22 +21,22 @@ class StepAdjoint {
  public:
   explicit StepAdjoint(Step& step) : step_(step) {}
 
-  // Computes the derivatives over the iterations of a run that kept its iterates.
+  // Computes the derivatives over the iterations of a run that stored its iterates.
   void unrolled(const StepInputs& in, const ResultAdjoints& adjoints, const StepDerivatives& to);
   // Computes the derivatives of the solution. Returns the true residual of the linear system.
   KrylovResult implicit(const StepInputs& in, const ResultAdjoints& adjoints,
                         const StepDerivatives& to, double tolerance, int32_t sweeps);
 
-  // The functions that solution.h calls.
+  // The functions that solution.h calls. See solve_transposed.
   void reverse_sweep(const Rows& load, Rows& multipliers, Rows& left);
   Rows balance(const Rows& given, const Rows& multipliers);
   Components components() const { return step_.components(); }
 
  private:
   using Rows4 = Step::Rows4;
-  // Tables that depend on the slots. Launches of captures keep them alive.
+  // Tables that depend on the slots. Launches of captures share them.
   struct Tables {
-    uint64_t builds = 0;  // Step::builds() of the slots
+    uint64_t builds = 0;  // Step::builds() when the tables were made
     std::vector<int64_t> color_begin;
     DeviceArray<int32_t> particle, is_own, slot_particle;
     DeviceArray<uint64_t> begins;                  // of the roles: see VbdAdjointArguments
@@ -44,7 +44,7 @@ class StepAdjoint {
     DeviceArray<uint64_t> places[kRoles];
     DeviceArray<int32_t> world_begin, of_worlds;
   };
-  // The properties that a list was made for.
+  // The properties of a run for which a list was made.
   struct Key {
     uint64_t version = 0;  // see Step::version
     int64_t block_groups = 0;
@@ -61,10 +61,10 @@ class StepAdjoint {
   VbdAdjointArguments arguments(const Rows4* before, int64_t first, int64_t end) const;
   void make_list(const VbdAdjointBeginArguments& begin, const VbdAdjointEndArguments& end);
   void add_groups(const VbdAdjointArguments& a, bool at_solution);
-  // Adds the same for all groups at once, with the sums over receivers.
+  // Adds the same launches for all groups at once, with the sums over receivers.
   void add_everywhere(const VbdAdjointArguments& a);
   void add_receive_all();
-  // The parts of a coarse correction in reverse.
+  // The launches of a coarse correction in reverse.
   void add_coarse_balance();
   void add_coarse_step(size_t iteration);
   void add_coarse_matrices();
@@ -79,13 +79,13 @@ class StepAdjoint {
 
   Step& step_;
   Tables tables_;
-  // The launches up to the adjoints of slots, targets and contacts. The stretches are: clear, the
-  // adjoints of the positions, sweeps in reverse, at a solution the remainder of the multipliers,
-  // and the slots' numbers of the start.
+  // The launches up to the adjoints of slots, targets and contacts. The list has five parts: clear
+  // the memory; the adjoints of the positions; the sweeps in reverse; at a solution, the remainder
+  // of the multipliers; the adjoints of the slots' values at the start of the step.
   std::optional<LaunchList> list_;
   LaunchList::Place<VbdAdjointBeginArguments> begin_;
   LaunchList::Place<VbdAdjointEndArguments> end_;
-  size_t sweeps_ = 0, balance_ = 0;  // index of the first launch of these stretches
+  size_t sweeps_ = 0, balance_ = 0;  // index of the first launch of these two parts
   Key key_;
   std::vector<Rows4> fields_;  // of the coarse steps: P A^-1 P^T times the adjoint
   Rows4 x_bar_, u_, d_, own_, start_bar_, target_bar_, gravity_bar_, multipliers_;

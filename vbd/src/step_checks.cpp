@@ -34,7 +34,7 @@ void Step::check_contacts(const Contacts& contacts) const {
   }
 }
 
-// Reports which input of the prediction is not finite.
+// Raises an error that names the input of the prediction that is not finite.
 void Step::check_inputs(const StepInputs& in) {
   const std::span faults(faults_.data(), faults_.rows());
   if (std::all_of(faults.begin(), faults.end(), [](int32_t f) { return f == kNoFault; })) return;
@@ -52,7 +52,7 @@ void Step::check_inputs(const StepInputs& in) {
   fail(ErrorKind::Value, kName, ": state_in: the inertial target of a particle overflows float32");
 }
 
-// Runs before the step writes its results.
+// Called before the step writes its results.
 void Step::check_positions() const {
   const Vec4f* const x = x_.data();
   for (size_t p = 0; p < x_.rows(); ++p)
@@ -68,7 +68,7 @@ void Step::check() {
   const auto first_of = [&faults](auto&& is_kind) {
     return std::find_if(faults.begin(), faults.end(), is_kind);
   };
-  // An input that is not finite is reported first, because it causes the other faults.
+  // Report an input that is not finite first, because the input causes the other faults.
   auto found = first_of([](int32_t fault) { return fault != kNoFault && fault != kFaultResult; });
   if (found == faults.end()) found = first_of([](int32_t fault) { return fault != kNoFault; });
   if (found == faults.end() && overflow[0] == 0) return;

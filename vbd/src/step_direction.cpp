@@ -1,5 +1,5 @@
-// The tangents of slots, contacts and inertial positions, along a direction of the arrays of the
-// model and the state.
+// Computes the tangents of slots, contacts and inertial positions along a direction of the arrays
+// of the model and the state.
 #include <algorithm>
 
 #include "element_arrays.h"

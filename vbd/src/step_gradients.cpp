@@ -62,7 +62,7 @@ void StepAdjoint::put_state(const StepInputs& in, const StepDerivatives& g) cons
                   .by_gravity = if_any(g.gravity)});
 }
 
-// The kernel reads no activation, because no derivative depends on one.
+// Passes no activation to the kernel, because no derivative depends on the activation.
 void StepAdjoint::put_elements(const StepDerivatives& g) const {
   for_each_kind([&](auto is) {
     using Element = typename decltype(is)::Slot;

@@ -1,4 +1,4 @@
-// The inputs of a step of VBD, and the destinations of its derivatives, as arguments of launches.
+// The inputs of a step of VBD, and the outputs of its derivatives, as arguments of launches.
 #pragma once
 
 #include <span>
@@ -14,7 +14,7 @@ namespace novaphy::vbd {
 using StepInputs = VbdStepInputs;
 using StepDerivatives = VbdStepDerivatives;
 
-// Returns null if the array has no rows.
+// Returns a pointer to the array, or null if the array has no rows.
 template <class T>
 const DeviceArray<T>* if_any(const DeviceArray<T>& array) {
   return array.rows() != 0 ? &array : nullptr;
@@ -23,7 +23,7 @@ inline Untyped if_any(const Array& array) {
   return array.rows() != 0 ? Untyped(array) : Untyped(static_cast<const void*>(nullptr));
 }
 
-// The numbers of an array for the host: a copy if the array is on a device.
+// The rows of an array on the host: a copy if the array is on a device.
 template <class T>
 struct OnHost {
   explicit OnHost(const Array& array) {
@@ -35,11 +35,11 @@ struct OnHost {
     rows = copy.empty() ? static_cast<const T*>(array.raw()) : copy.data();
   }
   std::vector<T> copy;
-  const T* rows = nullptr;  // null: none
+  const T* rows = nullptr;  // null: the array has no rows
 };
 
-// Returns whether a derivative for arrays of this use is wanted. For materials the function skips
-// elements whose damping terms always run.
+// Returns whether a derivative with respect to an array of the use `wanted` is asked for. For
+// materials the function skips elements whose damping terms always run.
 inline bool wants(const StepDerivatives& d, ArrayUse wanted) {
   bool any = false;
   for_each_kind([&](auto is) {

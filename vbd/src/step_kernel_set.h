@@ -1,5 +1,5 @@
-// The kernels of VBD. On the CPU the kernels over groups use all lanes of the instruction set
-// (sweep.h). Their results have the bits of a device's threads.
+// The set of the kernels of VBD. On the CPU the kernels over groups use all SIMD lanes of the
+// instruction set (sweep.h). Their results have the same bits as on a device.
 #pragma once
 
 #include <cstddef>
@@ -25,8 +25,8 @@ namespace novaphy::vbd {
 // Returns the number of lanes of a group on a device.
 int lanes_on(Device device);
 
-// Runs a kernel of the CPU's instruction set. The arguments of these kernels begin with those of a
-// sweep.
+// Runs a kernel for the CPU's instruction set. The arguments of these kernels begin with
+// VbdSweepArguments.
 template <GroupKernel* SweepLevel::*of>
 void run_level(const uint64_t* words, int64_t n, int64_t begin, int64_t end) {
   const auto& sweep = novaphy::detail::arguments_of<VbdSweepArguments>(words);
@@ -40,7 +40,7 @@ constexpr RowKernel<A> with_rows(RowKernel<A> kernel, GroupKernel* rows) {
   kernel.rows = rows;
   return kernel;
 }
-// A kernel with the CPU's function. The object is constant, because kernels refer to it.
+// A kernel with its function for the CPU. The object is a constant, because recordings refer to it.
 template <const auto& kernel, GroupKernel* SweepLevel::*of>
 inline constexpr auto kLanes = with_rows(kernel, run_level<of>);
 
@@ -66,8 +66,9 @@ struct Kernels {
   NOVAPHY_KERNEL_OF(vbd, finish)
   NOVAPHY_LEVEL_KERNEL_OF(vbd, residual, residual)
 
-  // On devices a color in reverse is two launches: a kernel that solves, and a kernel of slots. On
-  // the CPU the kernel of slots does all the work of its groups, and stores no own terms.
+  // On devices a color in reverse needs two kernels: the first solves for the multipliers, the
+  // second handles the slots. On the CPU the second kernel does all the work of its groups, and
+  // stores no own terms.
   NOVAPHY_KERNEL_OF(vbd_adjoint, adjoint_solve)
   NOVAPHY_KERNEL_OF(vbd_adjoint, adjoint_solve_by_blocks)
   NOVAPHY_LEVEL_KERNEL_OF(vbd_adjoint, adjoint_slots, adjoint)
@@ -110,7 +111,7 @@ struct Kernels {
 #undef NOVAPHY_KERNEL_OF
 #undef NOVAPHY_LEVEL_KERNEL_OF
 };
-// Returns the kernels, which are never destroyed, because recordings refer to them.
+// Returns the kernels. They are never destroyed, because recordings refer to them.
 const Kernels& kernels();
 
 }  // namespace novaphy::vbd

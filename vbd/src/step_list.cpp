@@ -5,7 +5,7 @@
 namespace novaphy::vbd {
 namespace {
 
-// Rows that a thread of the CPU takes at a time.
+// Rows that a CPU thread takes at a time.
 constexpr int64_t kParticleRows = 512, kLaneRows = 64, kMatrixRows = 4096;
 constexpr int64_t kBlockThreads = 128;
 
@@ -15,7 +15,7 @@ int64_t block_threads(int64_t groups, int64_t block_groups) {
   return (groups + block_groups - 1) / block_groups * kBlockThreads;
 }
 
-// Adds the moves of all colors, one color after the other.
+// Adds the launches that move all colors, one color after the other.
 void StepList::add_moves(const Step& step) {
   const int64_t block_groups = step.block_groups();
   const Kernel<VbdSweepArguments>& move = block_groups != 0          ? kernels().move_by_blocks
@@ -48,7 +48,7 @@ void StepList::add_coarse_matrices(const Step& step) {
   list_.add(kernels().coarse_factor, coarse.systems(), a, 1);
 }
 
-// Adds the coarse step of each system, with its line search.
+// Adds the launches of the coarse step of each system, with its line search.
 void StepList::add_coarse_step(const Step& step) {
   const Coarse& coarse = *step.coarse();
   const int64_t groups = step.colors().back(), n = step.model().particle_count();

@@ -1,4 +1,4 @@
-// The parameters of a step, from the options and the model's numbers.
+// The parameters of a step, computed from the options and from scalars of the model.
 #pragma once
 
 #include <cmath>
@@ -10,7 +10,7 @@
 
 namespace novaphy::vbd {
 
-// Refuses values for numbers of the model that this solver does not support.
+// Raises an error for scalars of the model that this solver does not support.
 inline void check_numbers(const Model& model) {
   constexpr const char* kName = "SolverVBD.step";
   model.check_numbers(kName);
@@ -31,7 +31,8 @@ inline void check_numbers(const Model& model) {
           model.soft_contact_restitution);
 }
 
-// Refuses options that need a decision of the host, which a device or a recording cannot wait for.
+// Raises an error for options that need a decision of the host during a step. A device or a
+// recording cannot wait for the host.
 inline void check_not_launched(const VbdOptions& o) {
   require(!o.tolerance, ErrorKind::NotImplemented,
           "SolverVBD: tolerance: a step that is launched does not ask how far it is (on a device, "
@@ -45,8 +46,9 @@ inline void check_not_launched(const VbdOptions& o) {
           "a device, or in a capture), got True");
 }
 
-// Returns the factors omega of Chebyshev acceleration: 1 up to the first iteration, 2/(2 - rho^2)
-// in the second, then 4/(4 - rho^2 omega).
+// Returns the factors omega of Chebyshev acceleration for each iteration, with rho the spectral
+// radius. omega is 1 up to the first iteration, 2/(2 - rho^2) in the second, then 4/(4 - rho^2
+// omega) with the previous omega.
 inline std::vector<float> chebyshev_factors(float radius, int32_t iterations) {
   const double rho2 = static_cast<double>(radius) * static_cast<double>(radius);
   std::vector<float> factors;

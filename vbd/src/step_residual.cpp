@@ -1,4 +1,4 @@
-// How far a step of VBD is from its solution.
+// The residual of a step of VBD: how far the step is from its solution.
 #include <algorithm>
 #include <cmath>
 
@@ -16,8 +16,8 @@ void Step::find_residuals() {
 }
 
 // Computes the sum of |m (y - xn - h vc)/h^2|^2 over the particles of each component (N^2), where
-// vc is the mean velocity of the component. A force that is the same for a whole component, except
-// gravity, counts as a velocity.
+// vc is the mean velocity of the component. A force that accelerates all particles of a component
+// equally counts as a part of vc. Gravity does not.
 void Step::find_motion() const {
   using Point = Vec3<double>;
   const auto wide = [](const Vec3f& v) {
@@ -52,7 +52,8 @@ void Step::find_motion() const {
   for (double& square : squares) square /= std::pow(static_cast<double>(dt()), 4);
 }
 
-// Sums the squares of the last find_residuals in double precision, in the order of the particles.
+// Sums the squares that find_residuals computed, in double precision, in the order of the
+// particles.
 void Step::sum_residuals() const {
   of_particles_.copy_to_host(std::span(&residuals_.data()->force, of_particles_.rows()));
   const Components of = components();
@@ -65,8 +66,8 @@ void Step::sum_residuals() const {
   });
 }
 
-// The worst component has the largest ratio of those whose force is more than two roundings.
-// Without one, the component has the largest ratio of all.
+// Returns the residual of the worst component. If the force of a component exceeds two roundings,
+// only such components count. The worst component has the largest ratio of force to scale.
 VbdResidual Step::last_residual() const {
   find_motion();
   sum_residuals();
@@ -100,11 +101,11 @@ Flags Step::solved(double tolerance) {
   return solved;
 }
 
-// Runs iterations until the residual of each component is within the tolerance. A component keeps
-// the positions with which it got there.
+// Runs iterations until the residual of each component is within the tolerance. When a component
+// reaches the tolerance, its positions no longer change.
 void Step::iterate_to(double tolerance, const StepList& list) {
   const Components of = components();
-  find_motion();  // iterations do not change it
+  find_motion();  // constant during the iterations
   ended_.assign(of.count, 0);
   ended_x_.resize(x_.rows());
   ended_moved_.resize(x_.rows());

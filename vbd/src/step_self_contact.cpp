@@ -3,8 +3,8 @@
 
 namespace novaphy::vbd {
 
-// Runs the iterations of a step with self-contact. Each iteration finds the contacts of surfaces
-// anew. The sweeps read these contacts and the contacts with shapes from one list.
+// Runs the iterations of a step with self-contact. Each iteration finds the contacts between
+// surfaces again. The sweeps read these contacts and the contacts with shapes from one list.
 void Step::iterate_in_contact() {
   SelfContact& contact = *self_contact_;
   const SelfContact::Given given =

@@ -1,4 +1,4 @@
-// The tables of a step of VBD.
+// Builds the tables of a step of VBD.
 #include <algorithm>
 
 #include "novaphy/core/assert.h"
@@ -7,7 +7,7 @@
 namespace novaphy::vbd {
 namespace {
 
-// A color with at least this many large blocks fills a device.
+// A color with at least this many large thread blocks keeps a device busy.
 constexpr int64_t kManyBlocks = 256;
 
 }  // namespace
@@ -15,7 +15,7 @@ constexpr int64_t kManyBlocks = 256;
 void Step::build_tables(float dt) {
   const Model& m = host_model();
   forget_lists();
-  slots_.set_constants(m, dt);  // the step writes its activations later
+  slots_.set_constants(m, dt);  // the step writes the activations later
   NOVAPHY_ASSERT(std::is_sorted(colors().begin(), colors().end()));
   Tables& t = tables_.emplace();
   t.dt = dt;
@@ -37,7 +37,7 @@ void Step::build_tables(float dt) {
   find_block_groups();
 }
 
-// Chooses the largest block that fits into shared memory and still fills the device.
+// Chooses the largest thread block that fits into shared memory and still keeps the device busy.
 void Step::find_block_groups() {
   if (on_cpu_) return;
   int64_t most_groups = 0;

@@ -56,7 +56,7 @@ void StepTangent::launch(const VbdTangentArguments& a) const {
   novaphy::run(kernels().tangent, groups * step_.slots().lanes(), a);
 }
 
-// Adds the tangents of the steps of a color's particles to their rows of x.
+// Adds the tangents of the steps of a color's particles to the particles' rows of x.
 void StepTangent::move(size_t color, const Rows4& x) const {
   const int64_t first = step_.colors()[color], groups = step_.colors()[color + 1] - first;
   novaphy::run(kernels().tangent_move, groups * step_.slots().lanes(),
@@ -103,7 +103,8 @@ Rows StepTangent::unrolled(const SweepTangents& along) {
   return download(x_);
 }
 
-// Adds to x the tangents of t P A^-1 P^T f and of A, whose particles have the tangents `guess`.
+// Adds to x the tangent of the coarse step t P A^-1 P^T f, by the tangents of f and of A. The
+// matrix A depends on the initial guess, whose tangents are `guess`.
 void StepTangent::correct(size_t iteration, const Rows4& guess) {
   const Coarse& coarse = *step_.coarse();
   const int64_t groups = step_.colors().back();
@@ -125,7 +126,7 @@ void StepTangent::correct(size_t iteration, const Rows4& guess) {
   a.sweep.x = step_.before(0);
   a.x = guess;
   a.before = step_.after_sweep(iteration);
-  a.after = step_.before(iteration + 1);  // the step has its length, and the load needs none
+  a.after = step_.before(iteration + 1);  // the step d includes its length t
   novaphy::run(kernels().tangent_stiffness, groups * step_.slots().lanes(), a);
   add(coarse.search());
 }
@@ -147,7 +148,8 @@ void StepTangent::balance() {
   novaphy::run(kernels().coarse_shift, static_cast<int64_t>(x_.rows()), c);
 }
 
-// Runs a sweep from 0 for the load, at a solution. `image` is the tangent of the forces along z.
+// Runs a sweep from 0 for a load, at a solution. z is the result, and `image` is the tangent of the
+// forces along z.
 void StepTangent::sweep(const Rows& load, Rows& z, Rows& image) {
   upload_rows(load_, load);
   x_.zero();
@@ -184,7 +186,8 @@ Rows StepTangent::force() {
   return download(result_);
 }
 
-// Returns the tangent of the forces along the direction of put() and x.
+// Returns the tangent of the forces along the direction of put() and the tangents x of the
+// positions.
 Rows StepTangent::force_tangent(const Rows& x) {
   upload_rows(x_, x);
   result_.zero();
@@ -199,8 +202,8 @@ Rows StepTangent::implicit(const SweepTangents& along, double tolerance, int32_t
                            KrylovResult& result) {
   put(along);
   Rows tangents = along.x;
-  // At first the load, with zero tangents of the particles that move. Later what remains of the
-  // load.
+  // First the load of the linear system: the moving particles have zero tangents. Later the
+  // residual of the system.
   Rows load = force_tangent(tangents);
   const auto left = [&](const Rows& x) { return load = force_tangent(x); };
   const auto add_more = [&](const Numbers& asked, std::vector<KrylovResult>& results) {

@@ -1,5 +1,6 @@
-// The tangent of a step of VBD along a direction, and Newton's method with it (solution.h). Sweeps
-// and forces are launches. The host decides about the iterations, and holds the vectors.
+// The tangent of a step of VBD along a direction, and Newton's method that uses the tangent
+// (solution.h). Sweeps and forces are launches. The host decides how many iterations run, and holds
+// the vectors.
 #pragma once
 
 #include <vector>
@@ -11,11 +12,11 @@
 
 namespace novaphy::vbd {
 
-// The tangents of the inputs of a sweep; see VbdTangentArguments.
+// The tangents of the inputs of a sweep (see VbdTangentArguments).
 struct SweepTangents {
-  Rows x;  // of kinematic particles
+  Rows x;  // tangents of kinematic particles
   Rows start, target;
-  Rows guess;  // of the initial guess
+  Rows guess;  // tangent of the initial guess
   std::vector<float> mass, contacts, numbers;
 };
 SweepTangents tangents_along(const Step& step, const StepInputs& in,
@@ -25,15 +26,15 @@ class StepTangent {
  public:
   explicit StepTangent(Step& step) : step_(step) {}
 
-  // Returns the tangents of the positions over the iterations of a run that kept its iterates.
+  // Returns the tangents of the positions over the iterations of a run that stored its iterates.
   Rows unrolled(const SweepTangents& along);
-  // Returns the tangents of the solution. `found` gets the true residual of the linear system.
+  // Returns the tangents of the solution. `found` receives the true residual of the linear system.
   Rows implicit(const SweepTangents& along, double tolerance, int32_t sweeps, KrylovResult& found);
-  // Moves a step that has run to its solution. The iteration ends when the relative residual is at
-  // most the tolerance or twice the rounding floor, or after `iterations`.
+  // Iterates a step that has run to its solution. The iteration ends when the relative residual is
+  // at most the tolerance or twice the rounding floor, or after `iterations`.
   Solution solve_step(double tolerance, int32_t iterations, int32_t sweeps);
 
-  // The functions that solution.h calls.
+  // The functions that solution.h calls. sweep: see solve_linear.
   void sweep(const Rows& load, Rows& z, Rows& image);
   Rows force();
   Rows starts() const { return download(step_.start()); }
@@ -43,7 +44,7 @@ class StepTangent {
   VbdResidual residual() { return step_.residual(); }
   Flags solved(double tolerance) { return step_.solved(tolerance); }
   void iterate_again() { step_.iterate_again(); }
-  // Keeps the loads of friction of the present positions, so that the forces have an energy.
+  // Holds the friction loads of the current positions constant, so that the forces have an energy.
   void keep_loads(bool keep);
   Components components() const { return step_.components(); }
 
@@ -52,17 +53,17 @@ class StepTangent {
 
   void reserve();
   void put(const SweepTangents& along);
-  // Returns the arguments over the groups of some colors. `along`: also with the tangents of put().
+  // Returns the arguments for the groups of some colors. `along`: with the tangents that put() set.
   VbdTangentArguments arguments(size_t first_color, size_t last_color, bool along) const;
   void launch(const VbdTangentArguments& arguments) const;
   void move(size_t color, const Rows4& x) const;
-  // The tangent of a coarse correction: of the step of an iteration, and of the balance.
+  // Compute the tangent of a coarse correction: of the step of an iteration, and of the balance.
   void correct(size_t iteration, const Rows4& guess);
   void balance();
   Rows force_tangent(const Rows& x);
 
   Step& step_;
-  bool keeps_loads_ = false;  // see VbdTangentArguments
+  bool keeps_loads_ = false;  // see keep_loads
   Rows4 x_, load_, result_, moved_, loads_at_, start_, target_;
   DeviceArray<float> mass_, contacts_, numbers_;
 };

@@ -1,5 +1,5 @@
-// Materials and rest shapes of elements that may change between replays: see
-// VbdStepInputs::trains_elements.
+// Tables for materials and rest shapes of elements that may change between replays (see
+// VbdStepInputs::trains_elements).
 #include <algorithm>
 #include <span>
 #include <vector>
@@ -10,14 +10,14 @@
 
 namespace novaphy::vbd {
 
-// Notes which elements may have materials other than 0 with the present slots.
+// Records for each element which material values may differ from 0 with the current slots.
 void Step::reserve_training() {
   Tables& t = *tables_;
   if (!t.trained.empty()) return;
   const UntrackedScope untracked;
   const Model& m = host_model();
-  // Materials may differ from 0 where the element acts. Elements without a corner, or with
-  // kinematic particles alone, have no part in a step, and may have any material.
+  // Values may differ from 0 if the element has slots. An element that lacks a corner, or has only
+  // kinematic particles, has no slots and no effect. Its material may have any values.
   for_each_kind([&](auto is) {
     using Element = typename decltype(is)::Slot;
     std::vector<int32_t> allowed;

@@ -5,7 +5,8 @@
 
 namespace novaphy::vbd {
 
-// A function over rows of a launch, as novaphy_row_function. The rows are lanes of groups.
+// A function over rows of a launch, with the signature of novaphy_row_function. A row is one lane
+// of a group.
 using GroupKernel = void(const uint64_t* words, int64_t n, int64_t begin, int64_t end);
 
 struct SweepLevel {
@@ -16,10 +17,11 @@ struct SweepLevel {
       *coarse_rows, *coarse_force, *coarse_outer;
 };
 
-// Returns the level of NOVAPHY_CPU_ISA, or the best of this processor. ErrorKind::Runtime: the
-// variable does not name an instruction set of this processor.
+// Returns the kernels for the instruction set in the environment variable NOVAPHY_CPU_ISA, or for
+// the best of this processor. ErrorKind::Runtime: the variable does not name an instruction set of
+// this processor.
 const SweepLevel& sweep_level();
-// Returns the level whose groups have `lanes` lanes.
+// Returns the kernels whose groups have `lanes` lanes.
 const SweepLevel& sweep_level_of(int64_t lanes);
 
 }  // namespace novaphy::vbd

@@ -1,6 +1,6 @@
-// The sweep of one instruction set in reverse.
+// The kernels of a sweep in reverse, compiled for one instruction set.
 #include "lanes.h"
-// Included after lanes.h, as sweep_kernels.h is.
+// Included after lanes.h, like sweep_kernels.h, because the templates use the lane functions.
 #include "novaphy/vbd/coarse_adjoint_kernels.h"
 
 namespace novaphy::vbd::NOVAPHY_LEVEL {

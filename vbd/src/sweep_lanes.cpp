@@ -1,4 +1,5 @@
-// The sweep of one instruction set: LANES particles of a color at a time.
+// The kernels of a sweep, compiled for one instruction set. They move LANES particles of a color at
+// a time.
 #include "lanes.h"
 
 namespace novaphy::vbd::NOVAPHY_LEVEL {

@@ -1,8 +1,9 @@
 // A color of VBD in reverse on devices (sweep_adjoint_kernels.h), as three launches. First,
-// vbd_adjoint_solve computes the multipliers u and the steps d of the particles, one thread per
-// particle. vbd_adjoint_solve_by_blocks does the same by thread blocks. Second, vbd_adjoint_slots
-// computes the adjoints of the positions and parameters of each slot, one thread per lane of a
-// slot. Third, vbd_receive (vbd_gradient_kernels.h) adds these parts in slot order.
+// vbd_adjoint_solve computes the multipliers u and the steps d of the particles, with one thread
+// for each particle. (vbd_adjoint_solve_by_blocks computes the same with thread blocks.) Second,
+// vbd_adjoint_slots computes the adjoints of the positions and parameters of slots, with one thread
+// for each lane of a slot. Third, vbd_receive (vbd_gradient_kernels.h) adds these terms in slot
+// order.
 #pragma once
 
 #include "novaphy/vbd/coarse_adjoint_kernels.h"
@@ -15,7 +16,7 @@ NOVAPHY_BLOCK_KERNEL(vbd_adjoint_solve_by_blocks, VbdAdjointArguments);
 
 namespace vbd {
 
-// Calls body(slot, particle) for the lane of a slot that belongs to a row of the launch.
+// Calls body(slot, particle) for the lane of a slot that a row of the launch handles.
 template <class Body>
 inline void for_slot_of(const VbdAdjointArguments& a, int64_t row, const Body& body) {
   for_roles([&](auto is) {
@@ -44,8 +45,8 @@ inline void reverse_slots(const VbdAdjointArguments& a, int64_t row) {
 
 }  // namespace vbd
 
-// `row`: over the lanes of the slots of the launch. "solution": at a solution. "start": the reverse
-// of the slots' numbers of the start.
+// A row is a lane of a slot. vbd_adjoint_solution is the kernel for a solution. vbd_adjoint_start
+// computes the adjoints of the slots' values at the start of the step.
 NOVAPHY_ROW_KERNEL(vbd_adjoint_slots, VbdAdjointArguments) { vbd::reverse_slots<false>(a, row); }
 NOVAPHY_ROW_KERNEL(vbd_adjoint_solution, VbdAdjointArguments) { vbd::reverse_slots<true>(a, row); }
 NOVAPHY_ROW_KERNEL(vbd_adjoint_start, VbdAdjointArguments) {
@@ -54,7 +55,7 @@ NOVAPHY_ROW_KERNEL(vbd_adjoint_start, VbdAdjointArguments) {
   });
 }
 
-// The derivatives of coarse steps. `row`: over the lanes of the groups of the launch.
+// The adjoints of coarse steps. A row is a lane of the groups of the launch.
 NOVAPHY_ROW_KERNEL(vbd_adjoint_outer, VbdAdjointArguments) {
   vbd::reverse_outer(a, vbd::LaneGroup<float>(a.sweep, row));
 }
@@ -68,7 +69,8 @@ NOVAPHY_ROW_KERNEL(vbd_tangent_stiffness, VbdTangentArguments) {
 #ifdef NOVAPHY_KERNEL
 namespace vbd {
 
-// Computes u and d of a particle from its block, and the adjoints of its inertia and contacts.
+// Computes u and d of a particle from its block, and the adjoints of the inputs of its inertia and
+// contacts.
 struct SolveParticle {
   using Lane = LaneGroup<float>;
   const VbdAdjointArguments& a;

@@ -1,12 +1,13 @@
-// The coarse correction of VBD as kernels (coarse_kernels.h). Sums over the particles of an
-// aggregate and the functions of a system have a fixed order, so the bits depend on nothing else.
+// The coarse correction of VBD as kernels (coarse_kernels.h). The sums over the particles of an
+// aggregate and over the functions of a system have a fixed order. The bits of the result therefore
+// do not depend on the number of threads.
 #pragma once
 
 #include "novaphy/vbd/coarse_kernels.h"
 
 namespace novaphy {
 
-// `row`: over the lanes of the groups of the launch.
+// Compute parts of the correction for particles. A row is a lane of the groups of the launch.
 NOVAPHY_ROW_KERNEL(vbd_coarse_rows, VbdCoarseArguments) {
   vbd::coarse_rows(a, vbd::LaneGroup<float>(a.sweep, row));
 }
@@ -19,7 +20,7 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_outer, VbdCoarseArguments) {
 
 namespace vbd {
 
-// The system of a row: its first function, its number of unknowns and its matrix.
+// The system of a row of a launch: its first function, its number of unknowns and its matrix.
 struct CoarseSystem {
   int64_t first, unknowns;
   float* matrix;
@@ -29,7 +30,7 @@ struct CoarseSystem {
         matrix(a.matrix + a.matrix_begin[system]) {}
 };
 
-// Returns the sum of a[k] b[k], in four partial sums.
+// Returns the dot product of a and b, in four partial sums.
 inline float coarse_dot(const float* a, const float* b, int64_t count) {
   float sum[4] = {};
   int64_t k = 0;
@@ -38,14 +39,14 @@ inline float coarse_dot(const float* a, const float* b, int64_t count) {
   for (int64_t part = 0; k < count; ++k, ++part) sum[part] = sum[part] + a[k] * b[k];
   return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
-// Subtracts s a[k] from to[k].
+// Subtracts s a from `to`, for `count` entries.
 inline void coarse_subtract(float* to, float s, const float* a, int64_t count) {
   for (int64_t k = 0; k < count; ++k) to[k] = to[k] - s * a[k];
 }
 
 }  // namespace vbd
 
-// Computes the 3x3 part of A for a pair of functions. `row`: over the pairs of functions.
+// Computes the 3x3 block of A for a pair of functions. A row is a pair of functions.
 NOVAPHY_ROW_KERNEL(vbd_coarse_matrix, VbdCoarseArguments) {
   const int32_t g = a.pairs[2 * row], h = a.pairs[2 * row + 1];
   const int32_t from = a.function_aggregate[g], to = a.function_aggregate[h];
@@ -65,7 +66,7 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_matrix, VbdCoarseArguments) {
 }
 
 // Factorizes A = L D L^T, with L below the diagonal and 1/D on the diagonal. An unknown whose pivot
-// is at most 1e-6 of its diagonal is left out. `row`: over the systems.
+// is at most 1e-6 of its diagonal entry is left out. A row is a system.
 NOVAPHY_ROW_KERNEL(vbd_coarse_factor, VbdCoarseArguments) {
   a.search[row].whole = 0.0f;
   const vbd::CoarseSystem s(a, static_cast<int32_t>(row));
@@ -84,7 +85,7 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_factor, VbdCoarseArguments) {
   }
 }
 
-// Computes P^T f. `row`: over the functions.
+// Computes P^T f. A row is a function.
 NOVAPHY_ROW_KERNEL(vbd_coarse_load, VbdCoarseArguments) {
   const int32_t aggregate = a.function_aggregate[row];
   if (a.tests != 0 && a.search[a.system[aggregate]].is_done != 0.0f) return;
@@ -99,7 +100,7 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_load, VbdCoarseArguments) {
   a.load[3 * row + 2] = sum.z;
 }
 
-// Solves for the step a, and starts the line search. `row`: over the systems.
+// Solves A a = P^T f for the step a, and starts the line search. A row is a system.
 NOVAPHY_ROW_KERNEL(vbd_coarse_solve, VbdCoarseArguments) {
   const vbd::CoarseSystem s(a, static_cast<int32_t>(row));
   const int64_t size = s.unknowns;
@@ -118,8 +119,7 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_solve, VbdCoarseArguments) {
   search.is_done = search.slope <= kVbdCoarseTrust * search.whole ? 1.0f : 0.0f;
 }
 
-// Ends the line search if the step is short enough, else halves the length. `row`: over the
-// systems.
+// Ends the line search if the step is short enough, or halves the length. A row is a system.
 NOVAPHY_ROW_KERNEL(vbd_coarse_test, VbdCoarseArguments) {
   VbdCoarseSearch& search = a.search[row];
   if (search.is_done != 0.0f) return;
@@ -135,7 +135,7 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_test, VbdCoarseArguments) {
 
 namespace vbd {
 
-// Returns the displacement of a particle by the coarse step of this length (m).
+// Returns the displacement (m) of a particle by the coarse step with the given length t.
 inline Vec3f coarse_field(const VbdCoarseArguments& a, int32_t particle, float length) {
   const int32_t aggregate = a.aggregate[particle], first = a.function_begin[aggregate];
   Vec3f sum;
@@ -148,7 +148,7 @@ inline Vec3f coarse_field(const VbdCoarseArguments& a, int32_t particle, float l
 
 }  // namespace vbd
 
-// Moves the particles by the present length of the line search. `row`: over the particles.
+// Moves the particles by the step with the current length of the line search. A row is a particle.
 NOVAPHY_ROW_KERNEL(vbd_coarse_try, VbdCoarseArguments) {
   const auto p = static_cast<int32_t>(row);
   const int32_t s = vbd::system_of(a, p);
@@ -156,7 +156,7 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_try, VbdCoarseArguments) {
   const Vec3f moved = to_vec3(a.sweep.moved[p]) + vbd::coarse_field(a, p, a.search[s].length);
   a.sweep.x[p] = to_row(to_vec3(a.sweep.start[p]) + moved);
 }
-// Moves the particles by the length that the line search found. `row`: over the particles.
+// Moves the particles by the step with the length that the line search found. A row is a particle.
 NOVAPHY_ROW_KERNEL(vbd_coarse_take, VbdCoarseArguments) {
   const auto p = static_cast<int32_t>(row);
   const int32_t s = vbd::system_of(a, p);
@@ -167,7 +167,8 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_take, VbdCoarseArguments) {
   a.sweep.moved[p] = to_row(moved);
   a.sweep.x[p] = to_row(to_vec3(a.sweep.start[p]) + moved);
 }
-// In reverse: writes the fields P a to sweep.moved, and t P a to force. `row`: over the particles.
+// For the reverse pass: writes the fields P a to sweep.moved, and t P a to force. A row is a
+// particle.
 NOVAPHY_ROW_KERNEL(vbd_coarse_fields, VbdCoarseArguments) {
   const auto p = static_cast<int32_t>(row);
   const int32_t s = vbd::system_of(a, p);
@@ -176,7 +177,7 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_fields, VbdCoarseArguments) {
   a.force[p] = to_row(s < 0 ? Vec3f{} : field * a.search[s].length);
 }
 
-// Computes the translation of a free system that balances its forces. `row`: over the systems.
+// Computes the translation of a free system that balances its forces. A row is a system.
 NOVAPHY_ROW_KERNEL(vbd_coarse_balance, VbdCoarseArguments) {
   vbd::Block<float> sum;
   const int32_t first = a.system_begin[row], end = a.system_begin[row + 1];
@@ -190,7 +191,8 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_balance, VbdCoarseArguments) {
     a.shift[row] =
         to_row(vbd::solve_block(vbd::factorize(sum, a.sweep.regularization.value), sum.f));
 }
-// Moves the particles of free systems by this translation. `row`: over the particles.
+// Moves the particles of free systems by the translation of vbd_coarse_balance. A row is a
+// particle.
 NOVAPHY_ROW_KERNEL(vbd_coarse_shift, VbdCoarseArguments) {
   const auto p = static_cast<int32_t>(row);
   const int32_t s = vbd::system_of(a, p);

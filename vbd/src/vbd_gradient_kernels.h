@@ -1,7 +1,7 @@
 // The backward pass of a step of VBD without its sweeps, as kernels (row_kernel.h): the begin, the
-// end, and the sums of the terms from slots. Other kernels turn the adjoints of slots, contacts and
-// inertial positions into derivatives for arrays of the model and the state. A null output is not
-// wanted.
+// end, and the sums of terms from slots. Further kernels turn the adjoints of slots, contacts and
+// inertial positions into derivatives with respect to arrays of the model and the state. A null
+// output is not computed.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
@@ -22,7 +22,7 @@ struct VbdKeepArguments {
 };
 NOVAPHY_ROW_KERNEL(vbd_keep, VbdKeepArguments) { a.iterate[row] = a.x[row]; }
 
-// Computes the adjoints of the positions x from those of the results, with v = (x - xn)/h.
+// Computes the adjoints of the positions x from the adjoints of the results, with v = (x - xn)/h.
 struct VbdAdjointBeginArguments {
   NOVAPHY_ARGUMENTS(Optional<Reads<Vec3f>> q_adjoint;   // null: 0
                     Optional<Reads<Vec3f>> qd_adjoint;  // null: 0
@@ -36,7 +36,7 @@ NOVAPHY_ROW_KERNEL(vbd_adjoint_begin, VbdAdjointBeginArguments) {
 struct VbdAdjointEndArguments {
   NOVAPHY_ARGUMENTS(ReadsRow<int32_t> is_held; ReadsRow<VbdRow> x_adjoint;
                     Optional<UpdatesRow<VbdRow>>
-                        guess;  // destination of the adjoint of the initial guess; null: none
+                        guess;  // gets the adjoint of the initial guess; null: not stored
                     Optional<Reads<Vec3f>> qd_adjoint; Number<float> inverse_h;
                     UpdatesRow<VbdRow> start_adjoint;)
 };
@@ -48,11 +48,12 @@ NOVAPHY_ROW_KERNEL(vbd_adjoint_end, VbdAdjointEndArguments) {
         to_row(to_vec3(a.start_adjoint[row]) - a.qd_adjoint[row] * a.inverse_h.value);
 }
 
-// The parts that vbd_receive adds: terms from a particle's own slots, and from slots of others.
+// The parts that vbd_receive adds: terms from the particle's own slots, and terms from slots of
+// other particles.
 constexpr int64_t kVbdReceiveOwn = 1, kVbdReceiveOthers = 2,
                   kVbdReceiveAll = kVbdReceiveOwn | kVbdReceiveOthers;
 
-// See Receivers. `row`: over the rows of receivers from `first` on.
+// Sums terms for particles (see Receivers). A row is a row of receivers, from `first` on.
 struct VbdReceiveArguments {
   NOVAPHY_ARGUMENTS(Reads<int32_t> particle;
                     Reads<int64_t> begin,
@@ -85,11 +86,12 @@ struct VbdParticleGradientArguments {
                     ReadsRow<float> mass_adjoint; Number<float> h;
                     Number<int64_t> have_targets;  // 1: kinematic particles have targets
                     Optional<Writes<Vec3f>> by_q, by_qd, by_f; Optional<Writes<float>> by_mass;
-                    // the particle's part of the gradient of its world's gravity
+                    // the part of each particle in the gradient with respect to its world's gravity
                     Optional<WritesRow<VbdRow>> by_gravity;
-                    Optional<Writes<float>> by_last;  // rows of 4
-                    // For the adaptive guess, whose adjoint is then x_adjoint. Null:
-                    // vbd_adjoint_end has already added the adjoint of the guess elsewhere.
+                    Optional<Writes<float>> by_last;  // {particles, 4}
+                    // For the adaptive guess: the previous velocity. x_adjoint is then the adjoint
+                    // of the guess. Null: vbd_adjoint_end has already added the adjoint of the
+                    // guess to another adjoint.
                     Optional<ReadsRow<VbdRow>> last; ReadsRow<Vec3f> qd; ReadsRow<int32_t> world;
                     Reads<Vec3f> gravity; Number<int64_t> last_world;)
 };
@@ -123,7 +125,7 @@ NOVAPHY_ROW_KERNEL(vbd_particle_gradient, VbdParticleGradientArguments) {
     a.by_last[4 * row + 3] = 0.0f;
   }
   if (a.by_f != nullptr) a.by_f[row] = by_target * ((h * h) * w);
-  // The mass acts through m/h^2, and through 1/m in the inertial position.
+  // The mass enters through m/h^2, and through 1/m in the inertial position.
   const float by_inverse = math::dot(by_target, a.f[row]) * (h * h);
   if (a.by_mass != nullptr)
     a.by_mass[row] = is_held ? 0.0f : a.mass_adjoint[row] / (h * h) - (w * w) * by_inverse;
@@ -138,7 +140,7 @@ NOVAPHY_ROW_KERNEL(vbd_target_gradient, VbdTargetGradientArguments) {
 }
 
 struct VbdGravityGradientArguments {
-  NOVAPHY_ARGUMENTS(Reads<int32_t> begin;  // of each world, and one more behind the last
+  NOVAPHY_ARGUMENTS(Reads<int32_t> begin;  // of each world; then the end
                     Reads<int32_t> particles;
                     Reads<VbdRow> of_particles;  // see VbdParticleGradientArguments
                     Writes<Vec3f> by_gravity;)
@@ -150,11 +152,11 @@ NOVAPHY_ROW_KERNEL(vbd_gravity_gradient, VbdGravityGradientArguments) {
   a.by_gravity[row] = sum;
 }
 
-// A null output is not wanted.
+// Derivatives with respect to the parameters of one kind of element. A null output is not computed.
 struct VbdElementGradientArguments {
   NOVAPHY_ARGUMENTS(
-      // For each slot of the element: the place of each corner of each element (-1: none), and
-      // where the adjoints of the slot's role begin.
+      // For each slot type of the element: the position in the table of slots of each corner of
+      // each element (-1: none), and where the adjoints of its role begin.
       Each<Optional<Reads<int64_t>>, vbd::kMostSlots> places;
       Each<Number<int64_t>, vbd::kMostSlots> first; Reads<float> numbers;  // of all roles
       Number<int64_t> role, lanes; Number<float> h;
@@ -166,8 +168,8 @@ namespace vbd {
 
 #include "number_adjoints.inc"
 
-// The adjoints of an element's numbers: the weights of each corner, and the law summed over all
-// corners.
+// The adjoints of an element's numbers: the weights of each corner, and the coefficients of the
+// law, summed over all corners.
 template <Role role>
 struct ElementAdjoints {
   using Element = SlotOf<role>;
@@ -229,7 +231,7 @@ NOVAPHY_ROW_KERNEL(vbd_radius_gradient, VbdRadiusGradientArguments) {
   a.by_radius[row] = sum;
 }
 
-// Writes the shape of each contact, in the order of the particles; -1 behind the last contact.
+// Writes the shape of each contact, sorted by particle. Entries after the last contact get -1.
 struct VbdContactShapeArguments {
   NOVAPHY_ARGUMENTS(Reads<int32_t> begin, items; Number<int64_t> particles; Reads<int32_t> shape;
                     WritesRow<int32_t> shape_of_contact;)
@@ -240,9 +242,9 @@ NOVAPHY_ROW_KERNEL(vbd_contact_shape, VbdContactShapeArguments) {
 
 struct VbdShapeGradientArguments {
   NOVAPHY_ARGUMENTS(Optional<Reads<int32_t>>
-                        // the first contact of each shape, and one more behind the last; null: none
+                        // the first contact of each shape; then the end; null: no contacts
                         begin;
-                    Optional<Reads<int32_t>> contacts;  // in the order of the particles
+                    Optional<Reads<int32_t>> contacts;  // of each shape, sorted by particle
                     Optional<Reads<float>> contact_adjoints; ReadsRow<float> mu;
                     Number<float> model_mu, h;
                     Optional<Writes<float>> by_margin, by_ke, by_kd, by_mu;)

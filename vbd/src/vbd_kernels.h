@@ -1,8 +1,9 @@
 // A step of VBD as kernels (row_kernel.h). The sweep is in sweep_kernels.h.
 //
-// A color moves in one of two ways, with the same bits. In vbd_move one thread moves each particle.
-// In vbd_move_by_blocks, for devices only, the threads of a block share the slots of some groups. A
-// thread for each component of the particles' matrices then adds the slots in slot order.
+// Two kernels move the particles of a color, with the same bits. The kernel vbd_move uses one
+// thread for each particle. In vbd_move_by_blocks, for devices only, the threads of a block share
+// the slots of some groups. One thread for each component of a particle's force and stiffness then
+// adds the slots in slot order.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
@@ -14,8 +15,8 @@
 
 namespace novaphy {
 
-// The arrays that the tables of a sweep were made from. The kernel does not read these arrays. As
-// arguments they tell a tape about an input that carries a gradient.
+// The arrays from which the tables of a sweep are made. The kernel does not read these arrays. They
+// are arguments so that a tape notices inputs that carry a gradient.
 #define NOVAPHY_VBD_TABLE_ARGUMENT(array, columns, width, use) Optional<Reads<float>> array;
 #define NOVAPHY_VBD_ARGUMENTS(...) NOVAPHY_ARGUMENTS(__VA_ARGS__)  // expands the names of the lists
 struct VbdTableArguments {
@@ -25,12 +26,12 @@ struct VbdTableArguments {
 };
 
 struct VbdPredictArguments {
-  NOVAPHY_ARGUMENTS(ReadsRow<Vec3f> particle_q, particle_qd, particle_f;  // a row per particle
+  NOVAPHY_ARGUMENTS(ReadsRow<Vec3f> particle_q, particle_qd, particle_f;  // a row for each particle
                     ReadsRow<float> particle_inv_mass; ReadsRow<int32_t> world;
                     Reads<Vec3f> gravity; Number<int64_t> last_world; ReadsRow<int32_t> is_held;
                     Number<float> h; Number<int64_t> guess;  // VbdInitialGuess
-                    // For the adaptive guess, else null: the velocity before the last step, and the
-                    // number 1.
+                    // The velocity at the start of the previous step, and the number 1 (0: no
+                    // previous step). Null: the adaptive guess is not used.
                     Optional<ReadsRow<VbdRow>> last_velocity;
                     WritesRow<VbdRow> start, target, moved, x;
                     Optional<WritesRow<VbdRow>> newer;  // for Chebyshev acceleration, else null
@@ -40,7 +41,8 @@ struct VbdPredictArguments {
 
 namespace vbd {
 
-// Notes the first fault of a particle since the host last asked (Step::check).
+// Stores the fault of a particle, unless the particle already has a fault since the last
+// Step::check.
 inline void note_fault(int32_t* faults, int64_t particle, int32_t fault) {
   if (fault != kNoFault && faults[particle] == kNoFault) faults[particle] = fault;
 }
@@ -86,8 +88,8 @@ struct VbdNumbersArguments {
 
 namespace vbd {
 
-// Computes the numbers of slots from the present model, or only the number that an activation
-// changes. `row`: over the lanes of all slots of a role.
+// Computes the numbers of slots from the current model. only_activated: computes only the number
+// that an activation changes. A row is a lane of the slots of a role.
 template <bool only_activated>
 inline void put_numbers(const VbdNumbersArguments& a, int64_t row) {
   const int32_t e = a.source[row] >> 2;
@@ -115,10 +117,10 @@ struct VbdMaterialArguments {
                     UpdatesRow<int32_t> allowed;  // of each element
   )
 };
-// Checks whether materials still fit the slots, which depend on older materials. A number has to be
-// finite and at least 0. A number may differ from 0 only if `allowed` has the bit of its column.
-// Otherwise the kernel sets the bit kVbdBadMaterial. kVbdAnyMaterial marks an element without a
-// part in a step.
+// Checks whether changed materials still fit the slots, which were built for the materials of an
+// earlier time. A value must be finite and at least 0. A value may differ from 0 only if `allowed`
+// has the bit of its column. Otherwise the kernel sets the bit kVbdBadMaterial. kVbdAnyMaterial
+// marks an element without slots, which may have any material.
 constexpr int32_t kVbdBadMaterial = 1 << 30, kVbdAnyMaterial = 1 << 29;
 NOVAPHY_ROW_KERNEL(vbd_material, VbdMaterialArguments) {
   if ((a.allowed[row] & kVbdAnyMaterial) != 0) return;
@@ -131,10 +133,10 @@ NOVAPHY_ROW_KERNEL(vbd_material, VbdMaterialArguments) {
 }
 
 struct VbdContactArguments {
-  NOVAPHY_ARGUMENTS(Reads<int32_t> begin;  // of each particle, and one more behind the last
-                    Reads<int32_t> items;  // slots of contacts, particle by particle
+  NOVAPHY_ARGUMENTS(Reads<int32_t> begin;  // first contact of each particle; then the end
+                    Reads<int32_t> items;  // slots of contacts, sorted by particle
                     Number<int64_t> particles; Reads<int32_t> count;
-                    // the count of found contacts and of slots, if the slots were too few
+                    // counts of found contacts and of slots, if the slots were too few
                     Updates<int32_t> overflow; Reads<int32_t> particle, shape;
                     Reads<Vec3f> point, velocity, normal;
                     Reads<float> particle_radius, shape_margin, shape_material_ke,
@@ -156,7 +158,7 @@ NOVAPHY_ROW_KERNEL(vbd_contact, VbdContactArguments) {
       {a.shape_material_ke[s], a.shape_material_kd[s], a.shape_material_mu[s]}, a.h.value);
 }
 
-// `row`: over the lanes of the groups of the launch.
+// Kernels over lanes. A row is a lane of the groups of the launch.
 NOVAPHY_ROW_KERNEL(vbd_prepare, VbdSweepArguments) { vbd::prepare(vbd::LaneGroup<float>(a, row)); }
 NOVAPHY_ROW_KERNEL(vbd_move, VbdSweepArguments) { vbd::move<false>(vbd::LaneGroup<float>(a, row)); }
 NOVAPHY_ROW_KERNEL(vbd_move_guarded, VbdSweepArguments) {
@@ -170,8 +172,8 @@ struct VbdCommitArguments {
   NOVAPHY_ARGUMENTS(Reads<int32_t> particle; Number<int64_t> first_lane; Reads<VbdRow> from;
                     Updates<VbdRow> x;)
 };
-// For colors with conflicts: moves all particles of a color to their new positions at once. A lane
-// that is no particle repeats the first particle.
+// For colors in which an element has two particles: moves all particles of the color to their new
+// positions at once. A lane without a particle repeats the first particle.
 NOVAPHY_ROW_KERNEL(vbd_commit, VbdCommitArguments) {
   const int32_t p = a.particle[a.first_lane + row];
   a.x[p] = a.from[p];
@@ -199,8 +201,8 @@ NOVAPHY_ROW_KERNEL(vbd_accelerate, VbdAccelerateArguments) {
 struct VbdFinishArguments {
   NOVAPHY_ARGUMENTS(ReadsRow<VbdRow> start, x; Number<float> h; WritesRow<Vec3f> q, qd;
                     UpdatesRow<int32_t> faults;
-                    // For the adaptive guess: the velocity before the step, and its destination for
-                    // the next step. A null destination is not wanted.
+                    // For the adaptive guess: the velocity before the step, and where to store it
+                    // for the next step. Null: not stored.
                     ReadsRow<Vec3f> qd_before; Optional<WritesRow<VbdRow>> last_velocity;)
 };
 NOVAPHY_ROW_KERNEL(vbd_finish, VbdFinishArguments) {

@@ -1,12 +1,12 @@
-// The forces of VBD and their tangents along a direction on devices (sweep_tangent_kernels.h), one
-// thread per particle.
+// The forces of VBD and their tangents along a direction on devices (sweep_tangent_kernels.h), with
+// one thread for each particle.
 #pragma once
 
 #include "novaphy/vbd/sweep_tangent_kernels.h"
 
 namespace novaphy {
 
-// `row`: over the lanes of the groups of the launch.
+// A row is a lane of the groups of the launch.
 NOVAPHY_ROW_KERNEL(vbd_tangent, VbdTangentArguments) {
   vbd::tangent(a, vbd::LaneGroup<float>(a.sweep, row));
 }
@@ -18,7 +18,7 @@ struct VbdTangentMoveArguments {
   NOVAPHY_ARGUMENTS(Reads<int32_t> particle, filled; Number<int64_t> first_group, lanes;
                     Reads<VbdRow> step; Updates<VbdRow> x;)
 };
-// Adds the tangents of the steps of a color's particles to x. `row`: over the lanes of the color's
+// Adds the tangents of the steps of a color's particles to x. A row is a lane of the color's
 // groups.
 NOVAPHY_ROW_KERNEL(vbd_tangent_move, VbdTangentMoveArguments) {
   const int64_t of_color = row / a.lanes, group = a.first_group + of_color;

@@ -1,17 +1,19 @@
-// The block of one particle in VBD: the force and the 3x3 stiffness matrix that its elements add up
-// to, and the step that follows.
+// The 3x3 system of one particle in VBD: the force, the stiffness matrix, and the step that solves
+// the system.
 //
-// A particle at x feels the force f and has the stiffness H, symmetric and positive definite. The
-// step d of the particle solves H d = f. Every law of VBD (elements/, particle_contact_law.h)
-// returns the block of one element for one corner, and takes this corner as the first.
+// A particle at x feels the force f (N) and has the stiffness H (N/m), symmetric and positive
+// definite. The step d (m) of the particle solves H d = f. f and H together are the particle's
+// block. Every law of VBD (elements/, particle_contact_law.h) returns the part of the block that
+// one element adds. The law takes the particle as the first corner of the element.
 //
-// Inertia, for a mass m (kg), the inertial position y = xn + h vn + h^2 (g + f_ext/m) and the step
-// size h (s):
+// The part of inertia has the mass m (kg), the step size h (s), and the inertial position y = xn +
+// h vn + h^2 (g + f_ext/m):
 //   E = m/(2 h^2) |x - y|^2,  f = m/h^2 (y - x),  H = m/h^2 I
 //
 // Source: Chen et al., "Vertex Block Descent" (2024), equations 5 to 10.
 //
-// Freestanding: T is float, lanes of floats, or a scalar that carries derivatives.
+// Freestanding (no standard headers). T is a float, SIMD lanes of floats, or a scalar that carries
+// derivatives.
 #pragma once
 
 #include "novaphy/math/ldlt.h"
@@ -19,7 +21,7 @@
 
 namespace novaphy::vbd {
 
-// f in N, h_ij in N/m.
+// The force f (N) and the entries of the symmetric stiffness H (N/m).
 template <class T>
 struct Block {
   Vec3<T> f{};
@@ -32,7 +34,7 @@ Block<T> operator+(const Block<T>& a, const Block<T>& b) {
           a.h01 + b.h01, a.h02 + b.h02, a.h12 + b.h12};
 }
 
-// The force of a block alone. Laws that add to a block take Force for Block to leave out H.
+// A block without stiffness. A law that is instantiated with Force instead of Block skips H.
 template <class T>
 struct Force {
   Vec3<T> f{};
@@ -60,7 +62,7 @@ Block<T> where(const B& c, const Block<T>& a) {
           select(c, a.h12, zero)};
 }
 
-// Adds s I to H, or s a a^T.
+// add_identity adds s I to H, and add_outer adds s a a^T.
 template <class T>
 void add_identity(Block<T>& block, const T& s) {
   block.h00 = block.h00 + s;
@@ -97,8 +99,9 @@ T inertia_energy(const Vec3<T>& x, const Vec3<T>& target, const T& mass_by_h2) {
   return (T(0.5f) * mass_by_h2) * math::dot(d, d);
 }
 
-// Returns the L D L^T factors of H. Rounding can make H nearly singular: det H <= 1e-7 h00 h11 h22.
-// Then the function first adds `regularization` times the mean of the diagonal to the diagonal.
+// Returns the factors L D L^T of H. H counts as nearly singular if det H <= 1e-7 h00 h11 h22, by
+// rounding. The function then first adds `regularization` times the mean of the diagonal to the
+// diagonal.
 template <class T>
 math::Ldlt<T, 3> factorize(const Block<T>& b, const T& regularization) {
   const auto factors = [&b](const T& shift) {
@@ -115,12 +118,13 @@ math::Ldlt<T, 3> factorize(const Block<T>& b, const T& regularization) {
   using math::select;
   const auto is_regular = det > T(1e-7f) * product;
   if constexpr (__is_same(decltype(is_regular), const bool))
-    if (is_regular) return plain;  // the same bits as a shift by 0
+    if (is_regular) return plain;  // no shift, because a shift by 0 gives the same bits
   return factors(select(is_regular, zero, regularization * mean));
 }
 
-// Returns the adjoints of a block: u for f, and the derivative of -u.(H d) for each entry of H. The
-// reverse law of an element takes these adjoints.
+// Returns the adjoints of a block, from the multiplier u of the force and the step d. The adjoint
+// of f is u. The adjoint of an entry of H is the derivative of -u.(H d). The adjoint law of an
+// element takes these adjoints.
 template <class T>
 Block<T> adjoints_of(const Vec3<T>& u, const Vec3<T>& d) {
   Block<T> adjoint;

@@ -1,11 +1,13 @@
-// The derivatives of the coarse correction (coarse_kernels.h), as templates over the scalar of a
-// sweep.
+// The derivatives of the coarse correction of VBD (coarse_kernels.h), as templates over the scalar
+// of a sweep.
 //
-// A coarse step solves A a = P^T f. Let d = P a and u = t P A^-1 P^T xbar. The derivative of the
-// number t d.xbar is that of u.f - u.(H d), where u and d are constant. The forces f are those at
-// the positions of the step. H is the stiffness at the initial guess. The length t is constant.
-// Along a direction a' = A^-1 P^T (f' - H' d). The balance of free systems has the same form, with
-// inertia and contacts alone.
+// A coarse step solves A a = P^T f for the unknowns a, and moves the particles by t d with d = P a.
+// Let xbar be the adjoint of the moved positions, and u = t P A^-1 P^T xbar. The derivative of t
+// d.xbar is the derivative of u.f - u.(H d) with constant u and d. f are the forces at the
+// positions before the step. H is the stiffness at the initial guess. The length t is constant.
+//
+// The tangent along a direction is a' = A^-1 P^T (f' - H' d). The balance of free systems has the
+// same form, with inertia and contacts alone.
 #pragma once
 
 #include "novaphy/vbd/sweep_adjoint_kernels.h"
@@ -13,12 +15,13 @@
 
 namespace novaphy::vbd {
 
-// Adds the adjoints of inertia and contacts for given u and d, without elements.
+// Adds the adjoints of the inputs of inertia and contacts for given u and d. The function leaves
+// the elements out.
 template <class S>
 void reverse_outer(const VbdAdjointArguments& a, const LaneGroup<S>& g) {
   if (g.filled != 0) g.add(a.x_adjoint, reverse_particles(a, g, g.at(a.sweep.x), Block<S>()).own);
 }
-// Adds the adjoints of -u.(H d) for given u and d, with the stiffness H of a coarse step.
+// Adds the adjoints of -u.(H d) for given u and d. H is the stiffness of a coarse step.
 template <class S>
 void reverse_stiffness(const VbdAdjointArguments& a, const LaneGroup<S>& g) {
   using Access = LaneAccess<S>;
@@ -45,7 +48,7 @@ void reverse_stiffness(const VbdAdjointArguments& a, const LaneGroup<S>& g) {
   if (Access::kLanes != 1) g.add(a.x_adjoint, own);
 }
 
-// Writes -H' d to force_tangent, for a given d.
+// Writes -H' d to force_tangent for a given d. H' is the tangent of the stiffness.
 template <class S>
 void tangent_stiffness(const VbdTangentArguments& a, const LaneGroup<S>& g) {
   using Access = LaneAccess<S>;
@@ -75,7 +78,7 @@ void tangent_stiffness(const VbdTangentArguments& a, const LaneGroup<S>& g) {
         part[c] = math::dot(by.own, own);
         for (int k = 0; k < kOthers[role]; ++k)
           part[c] = part[c] + math::dot(by.others[k], along[k + 1]);
-        // The derivatives of lanes without an element may be infinite.
+        // Skips zero tangents, because lanes without an element may have infinite derivatives.
         for (int k = 0; k < kFloats[role]; ++k) {
           const S t = numbers[k].d;
           part[c] = part[c] + select(t * t > S(0.0f), by.numbers[k] * t, S(0.0f));

@@ -1,20 +1,25 @@
 // The coarse correction of VBD, as templates over the scalar of a sweep (sweep_kernels.h). This
-// header has the parts that visit the slots of particles. src/vbd_coarse_kernels.h has the rest.
+// header has the functions over the slots of particles. src/vbd_coarse_kernels.h has the other
+// kernels.
 //
-// A sweep hardly reduces errors that are smooth over many particles. The correction removes such
+// A sweep hardly reduces errors that are smooth over many particles. The correction removes these
 // errors by one step of Galerkin's method. A system is a connected component of particles that
-// move. Each aggregate of a system is a set of neighboring particles with 1 to 4 functions: the
-// constant 1, and linear functions of the positions at rest. The fields of a system are P a: each
-// function times a vector. With the stiffness H of the step (stiffness_law.h, inertia, contacts) at
-// the initial guess:
+// move. A system is divided into aggregates: sets of neighboring particles.
+//
+// Each aggregate has 1 to 4 functions: the constant 1, and linear functions of the rest positions.
+// The unknowns a are one vector for each function. P a is the displacement field of the system: the
+// sum of each function times its vector. H is the stiffness of the step at the initial guess
+// (stiffness_law.h, inertia, contacts):
 //   A = P^T H P,  A a = P^T f,  x += t P a
 //
-// f are the forces at x. The length t starts at 1. The line search halves t while the forces work
-// against the step: while f(x + t P a).(P a) < -f(x).(P a)/2. After kVbdCoarseTests tests t is 0.
+// f are the forces at x. The length t starts at 1. A line search halves t while f(x + t P a).(P a)
+// < -f(x).(P a)/2: the forces behind the step push back too hard. After kVbdCoarseTests tests t is
+// 0.
 //
 // The slope f(x).(P a) is twice the energy that a step removes. A step is taken whole without a
-// test if its slope is at most kVbdCoarseTrust times that of a step which was tested and taken
-// whole. If an untested step is too long, the next step is large enough for a test.
+// test if its slope is at most kVbdCoarseTrust times the slope of an earlier step. The earlier step
+// is the last step that was tested and taken whole. If an untested step is too long, the next slope
+// is large enough for a test.
 #pragma once
 
 #include "novaphy/vbd/sweep_kernels.h"
@@ -24,37 +29,38 @@ namespace novaphy {
 constexpr int kVbdCoarseTests = 4;
 constexpr float kVbdCoarseTrust = 0.1f;
 
-// The line search of a system: the length t, the slope f.(P a), whether t was found (1 or 0), and
-// the slope of the last tested step of this time step that was taken whole.
+// The line search of a system: the length t, the slope f.(P a), whether the search has ended (1 or
+// 0), and the slope of the last step of this time step that was tested and taken whole.
 struct alignas(16) VbdCoarseSearch {
   using Element = Vec4f;  // the element type of arrays of this struct
   float length = 0.0f, slope = 0.0f, is_done = 0.0f, whole = 0.0f;
 };
 
-// Tables named `..._begin` have one more entry behind the last.
+// A table `..._begin` has the first index of each list, and one more entry for the end of the last
+// list.
 struct VbdCoarseArguments {
   NOVAPHY_ARGUMENTS(
       Part<VbdSweepArguments> sweep; Reads<int32_t> aggregate;  // of each particle; -1: none
-      Reads<VbdRow> field;        // of each particle: the values of the functions behind the first
-      Reads<int32_t> near_begin;  // of each particle: the aggregates of its elements
+      Reads<VbdRow> field;        // of each particle: values of the linear functions
+      Reads<int32_t> near_begin;  // of each particle: list of near aggregates
       Reads<int32_t> near;
       Reads<int64_t> near_row;        // of each near aggregate: its first matrix in `rows`
-      Reads<int32_t> function_begin;  // of each aggregate
-      Reads<int32_t> member_begin;    // of each aggregate: its particles
+      Reads<int32_t> function_begin;  // of each aggregate: its functions
+      Reads<int32_t> member_begin;    // of each aggregate: its particles in `members`
       Reads<int32_t> members; Reads<int32_t> function_aggregate;  // of each function
-      Reads<int32_t> pairs;         // pairs of functions of near aggregates
-      Reads<int32_t> system;        // of each aggregate
+      Reads<int32_t> pairs;         // pairs of functions whose aggregates are near
+      Reads<int32_t> system;        // system of each aggregate
       Reads<int32_t> system_begin;  // of each system: its aggregates
       // of each system: 1 if no element connects it to a kinematic particle
       Reads<int32_t> is_free; Reads<int64_t> matrix_begin;  // of each system
-      // At first H P: a 3x3 matrix for each particle and each function near it. coarse_outer writes
-      // the block of each particle over the first matrix.
+      // First H P: a 3x3 matrix for each particle and each near function. Then coarse_outer
+      // replaces the first matrix of each particle by its block.
       Updates<float> rows; Updates<float> matrix;  // A, then the factors of A, column by column
       Updates<VbdRow> force;                       // of each particle
-      Updates<float> load, step;                   // P^T f and a: 3 numbers of each function
+      Updates<float> load, step;                   // P^T f and a: 3 numbers for each function
       Updates<VbdCoarseSearch> search;             // of each system
       Updates<VbdRow> shift;                       // of each system
-      Number<int64_t> tests;                       // number of tests before this launch
+      Number<int64_t> tests;                       // tests of the line search before this launch
   )
 };
 
@@ -64,20 +70,20 @@ inline int32_t system_of(const VbdCoarseArguments& a, int32_t particle) {
   const int32_t aggregate = a.aggregate[particle];
   return aggregate < 0 ? -1 : a.system[aggregate];
 }
-// Returns the value at a particle of function `number` of its aggregate.
+// Returns the value of the function `number` of the particle's aggregate at the particle.
 inline float function_at(const VbdCoarseArguments& a, int32_t particle, int32_t number) {
   const VbdRow& field = a.field[particle];
   return number == 0 ? 1.0f : number == 1 ? field.x : number == 2 ? field.y : field.z;
 }
-// Returns the first matrix of a particle and an aggregate near it. Null: the aggregate is not near.
+// Returns the first matrix of a particle and an aggregate near the particle. Null: not near.
 inline float* rows_of(const VbdCoarseArguments& a, int32_t particle, int32_t aggregate) {
   for (int32_t k = a.near_begin[particle]; k < a.near_begin[particle + 1]; ++k)
     if (a.near[k] == aggregate) return a.rows + 9 * a.near_row[k];
   return nullptr;
 }
 
-// Adds to H P the stiffness h between each particle of the group and particle others[lane], times
-// the functions at that other particle.
+// Adds a part of H P: the stiffness h between each particle of the group and its particle
+// others[lane], times the functions at others[lane].
 template <class S>
 void add_stiffness(const VbdCoarseArguments& a, const LaneGroup<S>& g, const int32_t* others,
                    const Mat33<S>& h) {
@@ -141,8 +147,8 @@ void coarse_force(const VbdCoarseArguments& a, const LaneGroup<S>& g) {
   if (!is_coarse_done(a, g)) g.put(a.force, block_at<Force>(g, g.at(a.sweep.x)).f);
 }
 
-// Writes the block of inertia and contacts of each particle. The elements are left out, because
-// their forces cancel over a free system.
+// Writes the force and stiffness of inertia and contacts for each particle. The elements are left
+// out, because their forces cancel over a free system.
 template <class S>
 void coarse_outer(const VbdCoarseArguments& a, const LaneGroup<S>& g) {
   using Access = LaneAccess<S>;

@@ -1,7 +1,7 @@
-// The numbers of a contact in a step (elements/list.h), from the contact's record and the
-// materials.
+// The stored values of a particle's contact in a step (elements/list.h), computed from the record
+// in Contacts and from the materials.
 //
-// Freestanding: device code reads it too.
+// Freestanding (no standard headers), because device code includes this header.
 #pragma once
 
 #include "novaphy/math/types.h"
@@ -11,11 +11,11 @@ namespace novaphy::vbd {
 
 template <class T>
 struct ContactMaterial {
-  T ke, kd, mu;  // N/m, N*s/m, 1
+  T ke, kd, mu;  // stiffness (N/m), damping (N*s/m), friction coefficient
 };
 
-// Combines the materials of the model and the shape: arithmetic means of ke and kd, the geometric
-// mean of mu. Calls put(k, value) for the k-th number of the law.
+// Combines the materials of the model and of the shape: the arithmetic means of ke and kd, and the
+// geometric mean of mu. Calls put(k, value) for radius, ke, kd/h and mu (k = 0 to 3).
 template <class T, class Put>
 void put_contact_law(const T& radius, const ContactMaterial<T>& model,
                      const ContactMaterial<T>& shape, const T& h, const Put& put) {

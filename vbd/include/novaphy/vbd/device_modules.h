@@ -8,8 +8,8 @@
 
 namespace novaphy {
 
-// Returns SOURCE modules of <novaphy/abi/backend.h>. The list is empty if the build has no VBD for
-// devices.
+// Returns the modules, in the form SOURCE of <novaphy/abi/backend.h>. The list is empty if the
+// build has no VBD for devices.
 NOVAPHY_VBD_API std::vector<std::string> vbd_device_modules();
 
 }  // namespace novaphy

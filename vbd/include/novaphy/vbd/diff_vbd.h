@@ -1,5 +1,5 @@
-// DiffSolverVBD: a step of VBD as one operation of a tape, with its derivatives.
-// Compiled into novaphy::diff where both are built.
+// DiffSolverVBD: a step of VBD as one operation of a tape, with its derivatives. If the build has
+// the library novaphy::diff, this code is a part of that library.
 #pragma once
 
 #include <memory>
@@ -16,13 +16,13 @@ namespace novaphy::diff {
 
 struct RecordedStep;  // defined in diff_vbd_step.h
 
-// `residual` of the base is the larger of the relative residuals of the step and the linear system
-// with implicit gradients.
+// How exact the last gradient was. With implicit gradients `residual` of the base is the larger of
+// two relative residuals: that of the step and that of the linear system.
 struct DiffVbdGradientInfo : GradientInfo {
-  VbdResidual primal;          // residual of the step of the last backward or jvp
+  VbdResidual primal;          // residual of the step that the last backward or jvp ran
   double linear_residual = 0;  // implicit: relative residual of the linear system; else 0
   int32_t linear_sweeps = 0;   // implicit: sweeps for the linear system
-  bool converged = true;       // implicit: both are within the tolerance
+  bool converged = true;       // implicit: both residuals are within the tolerance
   int32_t halvings = 0;        // see VbdGradientInfo
 };
 
@@ -35,38 +35,39 @@ struct DiffVbdOptions {
   VbdGradientOptions gradient = {};
 };
 
-// A step with the bits of SolverVBD, recorded on an active tape. With implicit gradients the step
-// is iterated to its solution. Backward and Tape::jvp run each step once more.
+// Runs a step with the same bits as SolverVBD and records the step on an active tape. With implicit
+// gradients the step is iterated to its solution. backward and Tape::jvp run each step once more.
 //
 //   input                                                gradient
-//   particle_q, particle_qd, particle_f, targets         exact; particle_q also of kinematic ones
-//   gravity, particle_mass (through its inverse too), particle_radius                    exact
+//   particle_q, particle_qd, particle_f, targets         exact, also for kinematic particles
+//   gravity, particle_mass and its inverse, particle_radius                              exact
 //   particle_spring_stiffness, _damping, _rest_length                                    exact
 //   particle_tri_pose, _area, _material (ke, ka, kd), particle_tet_pose, _material       exact
 //   particle_edge_material, _rest_angle, _rest_length                                    exact
 //   activations of triangles and tetrahedra, of the control or the model                 exact
 //   shape_margin, shape_material_ke, _kd, _mu            exact
-//   contacts (the tape keeps those of the step)          frozen: points, normals, which touch
-//   all else of the model and the contacts               none: ErrorKind::NotImplemented, by name,
-//                                                        where it has requires_grad
-// States start from particle_q and particle_qd of the model. Steps do not read these two arrays. A
-// step leaves out an element whose coefficients are all 0. Such an element has no gradient.
+//   points, normals and set of the contacts              frozen; the tape keeps the contacts
+//   other arrays of the model and the contacts           none: ErrorKind::NotImplemented names an
+//                                                        array that has requires_grad
+// particle_q and particle_qd are arrays of the state. A step does not read the arrays of the model
+// with these names. A step skips an element whose coefficients are all 0. The gradient of this
+// element is 0.
 //
 // "Exact" refers to the iterations that ran. With implicit gradients "exact" refers to the solution
 // of the step, within the residuals of gradient_info().
 //
-// The adaptive guess reads the velocity before the last step. The solver carries this velocity from
-// step to step and from rollout to rollout until reset(). Unrolled gradients with respect to the
-// velocity are exact over the steps and rollouts of a tape. Implicit gradients are 0, because a
-// solution does not depend on the guess. Trajectories with checkpoints keep the velocity with each
-// kept state. A replay of a capture begins where the last step ended, or with reset() if the
-// capture starts with reset().
+// The adaptive guess reads the velocity at the start of the previous step. The solver carries this
+// velocity from step to step and from rollout to rollout until reset(). Unrolled gradients with
+// respect to the velocity are exact over the steps and rollouts of a tape. Implicit gradients with
+// respect to the velocity are 0, because a solution does not depend on the guess. A trajectory with
+// checkpoints stores the velocity with each checkpoint. A replay of a capture continues from the
+// velocity of the last step. If the capture contains reset(), each replay resets the velocity, too.
 //
-// Steps, rollouts, their backward and jvp can be captured. A replay runs on the host, or on the
-// device of the model. On a device, materials and rest shapes of elements that carry a gradient may
-// change from replay to replay. An element whose coefficients are all 0 has to keep them, or
-// gradient_info() throws. A capture on a device supports neither jvp nor implicit gradients (see
-// DifferentiableVbd).
+// Steps and rollouts can be captured, and so can their backward and jvp. A replay runs on the host,
+// or on the device of the model. On a device the materials and rest shapes of elements may change
+// from replay to replay if they carry a gradient. An element whose coefficients are all 0 must keep
+// these values. gradient_info() throws if they changed. A capture on a device supports neither jvp
+// nor implicit gradients (see DifferentiableVbd).
 class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
  public:
   // Errors: as for DifferentiableVbd.
@@ -74,20 +75,20 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
 
   const DiffVbdOptions& options() const { return options_; }
   int32_t kinematic_count() const { return steps_->kinematic_count(); }
-  // Returns how exact the last backward or jvp was. The labels describe the last consecutive steps
-  // on a tape: each of them started where the one before ended. For a capture the labels describe
-  // the last replay.
-  // ErrorKind::Runtime: no backward or jvp ran yet. Or a replay of a captured step or backward
-  // failed since the last call and wrote NaN: the message names the first failure and the step of a
-  // rollout. step and rollout report such a failure too. On a device the errors of
-  // SolverVBD::residual are reported, of direct steps too.
+  // Returns how exact the last backward or jvp was. The labels cover the latest chain of steps on a
+  // tape, in which each step starts from the result of the previous step. For a capture the labels
+  // cover the last replay. ErrorKind::Runtime: no backward or jvp ran yet, or a captured step or
+  // backward failed in a replay since the last call. A failed replay writes NaN. The message names
+  // the first failure and the step of the rollout. step and rollout raise this error, too. On a
+  // device this function also raises the errors of SolverVBD::residual, for steps outside of
+  // captures as well.
   DiffVbdGradientInfo gradient_info() const;
   void clear_gradient_info() { notes_.clear(); }
 
-  // A step only reads particle_f. Errors: as for SolverVBD::step. ErrorKind::Runtime: a step with
-  // implicit gradients was not solved.
+  // Errors: as for SolverVBD::step. ErrorKind::Runtime: a step with implicit gradients was not
+  // solved. A step does not change particle_f.
   bool supports_graph_capture() const override { return true; }
-  // Forgets the velocity that the adaptive guess reads. Can be captured.
+  // Forgets the velocity that the adaptive guess reads. A capture may record this call.
   void reset();
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt) override {
@@ -115,7 +116,7 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
   std::shared_ptr<const Contacts> kept(const Contacts* contacts);
 
   DiffVbdOptions options_;
-  EditedValues values_{"DiffSolverVBD"};  // checks captures; steps_ has a check of its own
+  EditedValues values_{"DiffSolverVBD"};  // checks captures; steps_ has a separate check
   std::shared_ptr<DifferentiableVbd> steps_;
   // the first failure of a replay
   std::shared_ptr<std::string> failure_ = std::make_shared<std::string>();
@@ -123,8 +124,8 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
   GradientNotes notes_;
   struct Witness;
   std::weak_ptr<Witness> witness_;
-  // For the adaptive guess: see VbdStepInputs::last_velocity. recorded_velocity_ has the same rows
-  // as the last step on a tape and in a capture wrote them.
+  // The previous velocities for the adaptive guess: see VbdStepInputs::last_velocity.
+  // recorded_velocity_ holds the rows that the last step on a tape wrote, also in a capture.
   DeviceArray<Vec4f> last_velocity_;
   struct {
     const nova::OpList* capture = nullptr;

@@ -1,30 +1,35 @@
 // A contact of a particle with a shape in VBD: a penalty, its damping, and friction.
 //
-// Law, for the particle at x (xn at the start of the step h) and a point p of the surface, which
-// moves with velocity v_s. The unit normal n points out of the shape. R is the particle's radius
-// plus the shape's margin. With pen = R - n.(x - p) the contact acts while pen > 0, and u = (x -
-// xn) - h v_s:
+// Law, for a particle at x, with xn at the start of the step and the step size h. The point p of
+// the surface moves with the velocity v_s. The unit normal n points out of the shape. R is the
+// particle's radius plus the shape's margin. The contact acts while the overlap
+// pen = R - n.(x - p) is > 0. With the relative displacement u = (x - xn) - h v_s:
 //   f = n (ke pen - kd/h min(n.u, 0)) - c u_t,  u_t = u - n (n.u)
 //   H = (ke + [n.u < 0] kd/h) n n^T + c (I - n n^T)
-//   c = mu ke pen times 1/|u_t| beyond the slip eps = friction_epsilon h, (2 - |u_t|/eps)/eps below
+//   c = mu ke pen / |u_t|                      for |u_t| > eps = friction_epsilon h
+//   c = mu ke pen (2 - |u_t|/eps) / eps        for |u_t| <= eps
 //
-// With `inside` 1 the damping is kd/h min(-n.u, pen) where n.u < 0, which makes f continuous.
+// If `inside` is 1, the damping force is kd/h min(-n.u, pen) where n.u < 0, which makes f
+// continuous.
 //
-// The coefficients ke and kd are the means of those of the model and the shape. mu is the geometric
-// mean. H keeps c in the direction of the slip, although the derivative of the force there is about
-// 0: without it the iteration does not converge. During the step p, n and v_s are constant.
+// The coefficients ke and kd are the arithmetic means of the model's and the shape's values. mu is
+// the geometric mean. H has c in the direction of the slip, although the derivative of the force in
+// that direction is about 0. With the smaller stiffness the iteration does not converge. p, n and
+// v_s are constant in a step.
 // Symbols: x (m), ke (N/m), kd (N*s/m), mu (1), eps (m).
 //
-// The safeguard against too long steps has the energy
-//   ke/2 pen^2 + [n.u < 0] kd/(2h) (n.u)^2 + mu ke pen_0 S(|u_t|), with S' = c/(mu ke pen)
-// pen_0 is the overlap at the position before, because the friction force has no potential.
+// The safeguard against too long steps uses the energy
+//   ke/2 pen^2 + [n.u < 0] kd/(2h) (n.u)^2 + mu ke pen_0 S(|u_t|), with S' = c |u_t|/(mu ke pen)
+// The friction force has no potential. The energy therefore has pen_0, the overlap before the
+// particle's step, as a constant.
 //
 // Source: Newton 1.8.0's SolverVBD, and the friction of Li et al., "Incremental Potential Contact"
 // (2020). Newton drops c from f and H where u_t is 0, so a resting particle and a creeping particle
-// have different laws. Here c keeps its limit 2/eps.
+// have different laws. Here c keeps its limit 2 mu ke pen/eps.
+//
 // Not smooth: pen = 0, where f jumps by the damping unless `inside` is 1; n.u = 0 in H.
-// Gradient: exact in x, xn, R, ke, kd, mu away from these. p, n and v_s are frozen, and eps carries
-// none.
+// Gradient: exact in x, xn, R, ke, kd and mu, except where the law is not smooth. p, n and v_s are
+// frozen. eps has no gradient.
 #pragma once
 
 #include "novaphy/vbd/block_law.h"
@@ -62,8 +67,9 @@ B<T> particle_contact_block(const Vec3<T>& x, const Vec3<T>& start, const Partic
   return where(depth > zero, block);
 }
 
-// Returns the block with H as the derivative of the friction force at constant load mu ke pen. In
-// the direction of the slip H has 0 beyond eps, and 2 mu ke pen (1 - |u_t|/eps)/eps below.
+// Returns the block whose H has the derivative of the friction force for a constant load mu ke pen.
+// In the direction of the slip this derivative is 0 beyond eps, and 2 mu ke pen (1 - |u_t|/eps)/eps
+// below eps.
 template <class T>
 Block<T> particle_contact_stiffness(const Vec3<T>& x, const Vec3<T>& start,
                                     const ParticleContact<T>& c) {
@@ -73,7 +79,7 @@ Block<T> particle_contact_stiffness(const Vec3<T>& x, const Vec3<T>& start,
   const T load = (c.mu * c.ke) * max(zero, c.radius - dot(c.normal, x - c.point));
   const T squared = dot(ut, ut), slip = sqrt(squared);
   const auto slides = slip > c.slip;
-  // (c along the slip - c) / |u_t|^2
+  // (stiffness along the slip - c) / |u_t|^2, for a load of 1
   const T less = select(slides, -(one / select(slides, squared * slip, one)),
                         -(one / ((c.slip * c.slip) * max(slip, c.slip * T(1e-6f)))));
   Block<T> block = particle_contact_block(x, start, c);
@@ -81,8 +87,8 @@ Block<T> particle_contact_stiffness(const Vec3<T>& x, const Vec3<T>& start,
   return block;
 }
 
-// Returns the load ke pen (N) of the contact at x. particle_contact_energy takes it as `load`, from
-// the position before.
+// Returns the load ke pen (N) of the contact at x. The argument `load` of particle_contact_energy
+// is this load at the position before the particle's step.
 template <class T>
 T particle_contact_load(const Vec3<T>& x, const ParticleContact<T>& c) {
   using namespace math;
@@ -105,8 +111,9 @@ T particle_contact_energy(const Vec3<T>& x, const Vec3<T>& start, const Particle
          (c.mu * load) * distance;
 }
 
-// Returns the friction coefficient at x that gives the load of the position `from`, as the energy
-// does. Without an overlap at x the contact has no friction.
+// Returns the friction coefficient that gives, at the position x, the friction limit of the
+// position `from`. The energy uses the same limit. If the contact has no overlap at x, the result
+// is 0.
 template <class T>
 T friction_of_load(const Vec3<T>& x, const Vec3<T>& from, const ParticleContact<T>& c) {
   using namespace math;

@@ -1,4 +1,5 @@
-// A row of the tables of a sweep: a vector of a particle, and a fourth number that few tables use.
+// The row type of the tables of a sweep: a vector of a particle, and a fourth number that few
+// tables use.
 #pragma once
 
 #include "novaphy/math/types.h"
@@ -17,8 +18,8 @@ inline VbdRow to_row(const Vec3f& v) { return v; }
 
 namespace vbd {
 
-// Returns the row that the adaptive guess keeps for the next step: the velocity qd, and the number
-// 1. A row of zeros means that there was no step.
+// Returns the row of a particle that the adaptive guess of the next step reads: the velocity qd
+// (m/s), and the number 1. A row of zeros means that the particle had no previous step.
 inline VbdRow to_last_velocity(const Vec3f& qd) {
   VbdRow row(qd);
   row.w = 1.0f;

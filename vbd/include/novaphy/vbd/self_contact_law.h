@@ -1,23 +1,24 @@
 // A contact of two features of surfaces in VBD: a vertex and a triangle, or two edges.
 //
-// Law, for the corners x_a with weights w_a (geometry/nearest_weights.h). The unit normal n points
-// from the second side to the first, d = n.(sum w x) is the gap and r the radius.
-// With t = r/2, k2 = t^2 k and d0 = min(1e-5 m, t/2) the slopes of the potential are
+// Law, for the corners x_a of the features, with weights w_a (geometry/nearest_weights.h). sum w x
+// is the vector between the nearest points. The unit normal n points from the second feature to the
+// first, d = n.(sum w x) is the gap, and r the contact radius. With t = r/2, k2 = t^2 k and d0 =
+// min(1e-5 m, t/2) the potential E(d) has the derivatives
 //   E' = -k (r - d) for t <= d < r,  -k2/d for d0 < d < t,  k2 (d - 2 d0)/d0^2 for d <= d0
 //   E'' = k,  k2/d^2,  k2/d0^2
-// With u = sum w (x - xn) and u_t = u - n (n.u) a corner has
+// The displacement of the features is u = sum w (x - xn), with xn at the start of the step h, and
+// u_t = u - n (n.u). The force and stiffness of a corner are
 //   f_a = w_a (-E' n - kd/h min(n.u, 0) n - c u_t)
 //   H_a = w_a^2 ((E'' + [n.u < 0] kd/h) n n^T + c (I - n n^T))
-// c is the coefficient of friction of particle_contact_law.h, at the load -E' of the start of the
+// c is the friction stiffness of particle_contact_law.h, for the load -E' at the start of the
 // iteration. The contact acts while d < r. Weights and normal are constant in an iteration.
 //
-// The normal of parallel edges is not defined. While s < 1 the law of two edges is therefore
-// multiplied by (2 - s) s. The lengths |e1| and |e2| are those at rest, and
-//   s = |e1 x e2|^2 / (1e-3 |e1|^2 |e2|^2)
+// Two edges e1 and e2 have no defined normal if they are parallel. While s < 1 the law of two edges
+// is therefore multiplied by (2 - s) s:
+//   s = |e1 x e2|^2 / (1e-3 |e1|^2 |e2|^2), with the rest lengths in the denominator
 //
-// Symbols: x, xn, r, d (m), k (N/m), kd (N*s/m).
-// Source: Newton 1.8.0's SolverVBD; the factor of Li et al., "Incremental Potential Contact"
-// (2020).
+// Symbols: x, xn, r, d (m), k (N/m), kd (N*s/m). Source: SolverVBD of Newton 1.8.0. The factor (2 -
+// s) s: Li et al., "Incremental Potential Contact" (2020).
 // Not smooth: E'' at d = r, and f where the damping begins.
 // Gradient: none yet.
 #pragma once
@@ -26,7 +27,7 @@
 
 namespace novaphy::vbd {
 
-// The slopes E' (N) and E'' (N/m).
+// The derivatives E' (N) and E'' (N/m) of the potential.
 template <class T>
 struct GapSlopes {
   T first{}, second{};
@@ -42,17 +43,18 @@ GapSlopes<T> gap_slopes(const T& d, const T& r, const T& k) {
   return {select(acts, first, zero), select(acts, select(is_soft, k, k2 / (above * above)), zero)};
 }
 
-// The force of a contact without weights: the force (N) and the stiffness (N/m) along the normal,
-// the slip u_t (m) and c (N/m).
+// The force between two features, before the weights of the corners: the unit normal, the slip u_t
+// (m), the force `along` the normal (N), its stiffness (N/m), and the friction stiffness c (N/m).
 template <class T>
 struct SurfaceForce {
   Vec3<T> normal{}, slip{};
   T along{}, stiffness{}, friction{};
 };
 
-// Returns the contact of a particle whose force at x is f_a and whose stiffness is `together` times
-// H_a. `together` is the number of corners with the color of the particle. These corners move at
-// the same time, and each takes the others as fixed.
+// Returns a particle contact whose force at x is f_a and whose stiffness is `together` times H_a.
+// `together` is the number of corners that have the color of the particle. These corners move at
+// the same time, and each corner takes the other corners as fixed. The factor keeps their moves
+// from adding up too far.
 template <class T>
 ParticleContact<T> corner_contact(const SurfaceForce<T>& s, const T& weight, const T& together,
                                   const Vec3<T>& x, const Vec3<T>& start, const T& eps) {
@@ -65,7 +67,7 @@ ParticleContact<T> corner_contact(const SurfaceForce<T>& s, const T& weight, con
   c.point = x;
   c.normal = select(weight < zero, s.normal * T(-1.0f), s.normal);
   c.ke = squared * s.stiffness;
-  // A contact that does not act gets a negative overlap.
+  // A contact without force gets a negative overlap.
   c.radius = select(acts, (abs(weight) * s.along) / select(acts, c.ke, one), T(-1.0f));
   const Vec3<T> u = s.slip / (weight * together);
   c.travel = (x - start) - u;

@@ -1,6 +1,6 @@
-// Moves of particles by thread blocks, for devices only. The threads of a block share the slots of
-// the particles of some groups. A thread for each component of the particles' matrices adds the
-// slots in slot order.
+// Moves particles by thread blocks on devices. The threads of a block first compute the terms of
+// all slots of some groups of particles. Then one thread for each component of a particle's force
+// and stiffness adds the terms, in slot order.
 #pragma once
 
 #include "novaphy/vbd/sweep_kernels.h"
@@ -8,12 +8,14 @@
 #ifdef NOVAPHY_KERNEL
 namespace novaphy::vbd {
 
-// A block has kThreads threads, for the particles of up to G groups. A term is one lane of a slot.
-// Terms lie by role in the order of their sums. The terms of a role begin at a multiple of kAlign,
-// so that the threads of a warp work on few roles.
+// A block has kThreads threads, and handles the particles of up to G groups. A term is the block
+// (force and stiffness) of one lane of a slot. Terms are stored by role, in the order of the sums.
+// The terms of a role begin at a multiple of kAlign, so that the threads of a warp work on few
+// roles.
 constexpr int kThreads = 128, kAlign = 32, kComponents = 9;
 
-// The shared memory of a block. The struct has no constructors, because shared memory runs none.
+// The shared memory of a thread block. The struct has no constructors, because CUDA runs none for
+// shared memory.
 struct BlockMemory {
   float terms[kComponents][kVbdBlockTerms];
   float outer[kComponents][kVbdLanes * kVbdLargeBlock],
@@ -47,11 +49,13 @@ inline void put_term(const VbdSweepArguments& a, BlockMemory& m, int32_t begin, 
                        a.turns != 0));
 }
 
-// Computes the blocks of the particles of the groups [first, end), at most G groups, with the bits
-// of block_at. All threads of the block call the function. The thread of a particle has a `Finish`,
-// made from the arguments: ask(lane) loads early what put needs, also for lanes that are no
-// particles. place(lane) returns the position of the particle, and put(lane, block) takes the
-// block.
+// Computes the blocks (force and stiffness) of the particles of the groups [first, end), at most G
+// groups. The results have the same bits as block_at. All threads of the thread block call the
+// function.
+//
+// The thread of a particle makes a `Finish` from the arguments. ask(lane) loads early what put
+// needs, also for lanes without a particle. place(lane) returns the position of the particle.
+// put(lane, block) receives the result.
 template <int G, class Finish, class Arguments>
 inline void for_block(const VbdSweepArguments& a, const Arguments& arguments, int64_t first,
                       int64_t end, BlockMemory& m) {
@@ -130,7 +134,7 @@ inline void for_block(const VbdSweepArguments& a, const Arguments& arguments, in
   }
 }
 
-// Calls for_block for the thread blocks `block`, `block` + `blocks`, ... over the groups [first,
+// Calls for_block for the chunks of G groups `block`, `block` + `blocks`, ... of the groups [first,
 // end).
 template <int G, class Finish, class Arguments>
 inline void for_blocks_of(const VbdSweepArguments& a, const Arguments& arguments, int64_t first,

@@ -1,11 +1,12 @@
-// The stiffness between two particles of an element: a 3x3 matrix.
+// The stiffness (N/m) between two particles of an element: a 3x3 matrix.
 //
-// An element of VBD has the energy E. Its stiffness between the corners k and l is the block H_kl
-// of a matrix H over all corners. H is positive semidefinite everywhere. H equals the second
-// derivative of E where that is positive semidefinite. H_kk may be smaller than the block of a
-// sweep (block_law.h), because H has no stiffness against a rotation of the whole element.
+// An element of VBD with the energy E has a stiffness matrix H over all its corners. The stiffness
+// between the corners k and l is the 3x3 block H_kl. H is positive semidefinite everywhere. H
+// equals the second derivative of E where this derivative is positive semidefinite. H_kk may be
+// smaller than the matrix that a sweep solves with (block_law.h), because H does not resist a
+// rotation of the whole element.
 //
-// Freestanding: T = float, lanes of floats, or a scalar of a test.
+// Freestanding (no standard headers). T is a float, SIMD lanes of floats, or a scalar of a test.
 #pragma once
 
 #include "novaphy/vbd/block_law.h"
@@ -22,7 +23,7 @@ void add_to(Mat33<T>& sum, const Mat33<T>& h) {
     for (int c = 0; c < 3; ++c) sum.m[r][c] = sum.m[r][c] + h.m[r][c];
 }
 
-// Returns a b^T.
+// Returns the outer product a b^T.
 template <class T>
 Mat33<T> outer_product(const Vec3<T>& a, const Vec3<T>& b) {
   return {{{a.x * b.x, a.x * b.y, a.x * b.z},

@@ -1,40 +1,41 @@
-// The reverse of a sweep (sweep_kernels.h). A particle moves by d = H^-1 f. Let u = H^-T xbar. The
-// derivative of d.xbar with respect to each input of f and H is that of u.f - u.(H d), with u and d
-// held constant: a sum over slots. The build derives the laws of slots (tools/vbd_adjoints).
+// The adjoint of a sweep (sweep_kernels.h). A particle moves by d = H^-1 f. Let xbar be the adjoint
+// of the new position, and u = H^-T xbar. The derivative of d.xbar with respect to each input of f
+// and H is the derivative of u.f - u.(H d) with constant u and d. This expression is a sum over
+// slots. The build derives the adjoint laws of slots (tools/vbd_adjoints).
 //
-// On the CPU one call handles a whole group. On a device u, d and the results of slots pass through
-// memory. Threads for particles compute u and d. Threads for lanes of slots then compute the
-// adjoints of the slots' inputs.
+// On the CPU one call handles a whole group. On a device, threads for particles compute u and d and
+// store them. Threads for lanes of slots then compute the adjoints of the slots' inputs.
 #pragma once
 
 #include "novaphy/vbd/sweep_kernels.h"
 
 namespace novaphy {
 
-// The adjoints that a reverse sweep reads and writes. The sweep adds to them unless said otherwise.
+// The adjoints that a reverse sweep reads and writes. The sweep adds to its outputs unless a
+// comment says otherwise.
 struct VbdAdjointArguments {
   NOVAPHY_ARGUMENTS(
       Part<VbdSweepArguments> sweep; Optional<Reads<VbdRow>>
-          before;  // positions of the particles before the color moved; null: they are in x
-      Updates<VbdRow> x_adjoint;  // read; on the CPU also increased by each particle's own part
-      Updates<VbdRow> u, d, own;  // own: a particle's adjoint of its own position, without slots
-      // mass_adjoint: of mass/h^2
+          before;  // positions before the color moved; null: the positions in x
+      Updates<VbdRow> x_adjoint;  // input; the CPU also adds each particle's own adjoint
+      Updates<VbdRow> u, d, own;  // own: adjoint of the own position, without slots
+      // mass_adjoint is the adjoint of mass/h^2
       Updates<VbdRow> start_adjoint, target_adjoint;
       Updates<float> mass_adjoint;
       Optional<Updates<float>> contact_adjoints;  // kContactLawFloats for each contact of the step
       Number<int64_t> at_solution;                // 1: at a solution, where f = 0 and d = 0
       Number<int64_t> weights;                    // 1: also the adjoints of the weights of slots
-      Optional<Updates<VbdRow>> multiplier;       // null: solve for u; else a given u
-      Optional<Reads<VbdRow>> after;              // with a given u: d is after - before; null: 0
+      Optional<Updates<VbdRow>> multiplier;       // null: the kernel solves for u; else the given u
+      Optional<Reads<VbdRow>> after;              // with a given u: d = after - before; null: d = 0
       Optional<Updates<VbdRow>> multiplier_sum;   // the sum of u; null: not wanted
-      // the particle of each lane of each slot of each role; -1: none
+      // the particle of each lane of each slot of each role; -1: no particle
       Reads<int32_t> slot_particle;
-      // for each slot: 3 rows for each of the other particles; on devices 3 rows more for the
-      // slot's own particle
-      Updates<float> terms; Updates<float> numbers;  // for each slot: adjoints of all its numbers
-      Reads<int64_t> begins;  // where each role begins in slot_particle, terms and numbers
-      Each<Number<int64_t>, vbd::kRoles> first;  // for each role: the first lane of its slots
-      // for each role: the number of threads of the launch up to the end of the role
+      // for each slot: 3 rows for each of the other corners; on devices also 3 rows for the slot's
+      // own particle, which come first
+      Updates<float> terms; Updates<float> numbers;  // adjoints of all numbers of a slot
+      Reads<int64_t> begins;  // first index of each role in slot_particle, terms, numbers
+      Each<Number<int64_t>, vbd::kRoles> first;  // for each role: first lane of its slots
+      // for each role: the number of threads of the launch for the roles up to this one
       Each<Number<int64_t>, vbd::kRoles> ends;)
 };
 
@@ -46,8 +47,8 @@ template <Role role, class S>
 float* adjoints_of_numbers(const VbdAdjointArguments& a, const Slot<role, S>& slot) {
   return a.numbers + (a.begins[2 * kRoles + role] + (slot.floats - a.sweep.floats[role]));
 }
-// Adds the adjoints of a slot's numbers before `last`. Adjoints of weights are added only if
-// a.weights is 1.
+// Adds the adjoints of the numbers of a slot with an index below `last`. The function skips the
+// weights unless a.weights is 1.
 template <Role role, class S>
 void add_numbers(const VbdAdjointArguments& a, const Slot<role, S>& slot,
                  const SlotAdjoints<role, S>& of, int last) {
@@ -56,8 +57,8 @@ void add_numbers(const VbdAdjointArguments& a, const Slot<role, S>& slot,
   for (int k = a.weights != 0 ? 0 : law_begin(role); k < last; ++k)
     Access::store(to + k * Access::kStride, Access::load(to + k * Access::kStride) + of.numbers[k]);
 }
-// Stores or adds the adjoints of the positions of the other particles. On devices the adjoint of
-// the own position comes first.
+// Stores the adjoints of the positions of the other corners, or adds to stored ones if `adds`. On
+// devices the adjoint of the own position comes first.
 template <Role role, class S>
 void put_terms(const VbdAdjointArguments& a, const Slot<role, S>& slot,
                const SlotAdjoints<role, S>& of, bool adds = false) {
@@ -88,15 +89,15 @@ Vec3<S> reverse_slot_of(const VbdAdjointArguments& a, const Slot<role, S>& slot,
   add_numbers(a, slot, to, kFloats[role]);
   return to.own;
 }
-// Computes the adjoints of u.(sum of H_k d[k]), see stiffness.
+// Computes the adjoints of the inputs of u.(sum_k H_k d[k]), with the H_k of stiffness().
 template <Role role, class S>
 NOVAPHY_LANE_FN_APART void stiffness_adjoint_of(const Slot<role, S>& slot, const Vec3<S>& x,
                                                 const VbdRow* rows, const Vec3<S>& u,
                                                 const Vec3<S>* d, SlotAdjoints<role, S>& to) {
   stiffness_adjoint(u, inputs_of(slot, x, rows), d, to);
 }
-// Adds the adjoints of -u.(sum of H_k d[k]). The adjoints replace the terms of the slot unless
-// `adds`. Returns the adjoint of the own position.
+// Stores the adjoints of -u.(sum_k H_k d[k]) as the terms of the slot, or adds to the terms if
+// `adds`. Also adds the adjoints of the slot's numbers. Returns the adjoint of the own position.
 template <Role role, class S>
 Vec3<S> reverse_stiffness_of(const VbdAdjointArguments& a, const Slot<role, S>& slot,
                              const Vec3<S>& x, const Vec3<S>& u, const Vec3<S>* d, bool adds) {
@@ -106,7 +107,7 @@ Vec3<S> reverse_stiffness_of(const VbdAdjointArguments& a, const Slot<role, S>& 
   add_numbers(a, slot, to, kFloats[role]);
   return to.own;
 }
-// Runs the law of a slot in reverse, for a particle at x. Returns the adjoint of that position.
+// Computes the adjoints of a slot's law for a particle at x. Returns the adjoint of x.
 template <bool at_solution, Role role, class S>
 Vec3<S> reverse_slot(const VbdAdjointArguments& a, const Slot<role, S>& slot, const Vec3<S>& x,
                      const Block<S>& adjoint) {
@@ -115,12 +116,13 @@ Vec3<S> reverse_slot(const VbdAdjointArguments& a, const Slot<role, S>& slot, co
       return reverse_slot_of<at_solution, false>(a, slot, x, adjoint);
   return reverse_slot_of<at_solution, true>(a, slot, x, adjoint);
 }
-// Returns whether the block of a slot has the H of stiffness_of (`turns` in block_of).
+// Returns whether the block of a slot uses the H_0 of stiffness() (argument `turns` of block_of).
 template <Role role, class S>
 bool turns(const VbdAdjointArguments& a, const Slot<role, S>&) {
   return SlotOf<role>::kResistsTurns && a.sweep.turns != 0;
 }
-// Adds the adjoints of -u.(H d), with this H.
+// Adds the adjoints of -u.(H_0 d), for a slot whose block uses H_0. Returns the adjoint of the own
+// position.
 template <Role role, class S>
 Vec3<S> reverse_turning(const VbdAdjointArguments& a, const Slot<role, S>& slot, const Vec3<S>& x,
                         const Vec3<S>& u, const Vec3<S>& d) {
@@ -131,8 +133,8 @@ Vec3<S> reverse_turning(const VbdAdjointArguments& a, const Slot<role, S>& slot,
     return reverse_stiffness_of(a, slot, x, u, steps, true);
   }
 }
-// Runs in reverse the law that computes a slot's numbers of the start, for a particle that began at
-// x.
+// Computes the adjoints of the law that gives a slot's values at the start of the step. x is the
+// position of the own particle at the start. Returns the adjoint of x.
 template <Role role, class S>
 Vec3<S> reverse_start(const VbdAdjointArguments& a, const Slot<role, S>& slot, const Vec3<S>& x) {
   using Access = LaneAccess<S>;
@@ -147,7 +149,7 @@ Vec3<S> reverse_start(const VbdAdjointArguments& a, const Slot<role, S>& slot, c
   return to.own;
 }
 
-// Moves the particles back to their positions before the color moved, and returns these positions.
+// Moves the particles back to their positions before the color moved. Returns these positions.
 template <class S>
 Vec3<S> place_before(const VbdAdjointArguments& a, const LaneGroup<S>& g) {
   if (a.before == nullptr) return g.at(a.sweep.x);
@@ -156,7 +158,7 @@ Vec3<S> place_before(const VbdAdjointArguments& a, const LaneGroup<S>& g) {
   return x;
 }
 
-// Adds the adjoints of the contacts' inputs: the own position, the start and the law.
+// Adds the adjoints of the inputs of contacts: the own position, the start and the coefficients.
 template <class Case, class S>
 void reverse_contacts(Case of, const VbdAdjointArguments& a, const LaneGroup<S>& g,
                       const Vec3<S>& x, const Block<S>& adjoint, Vec3<S>& own, Vec3<S>& by_start) {
@@ -176,8 +178,8 @@ void reverse_contacts(Case of, const VbdAdjointArguments& a, const LaneGroup<S>&
   });
 }
 
-// Computes the multipliers u and the steps d of particles at x, from their blocks there. Adds the
-// adjoints of inertia and contacts. Given multipliers need no block.
+// Computes the multipliers u and the steps d of particles at x, from their blocks at x. Adds the
+// adjoints of the inputs of inertia and contacts. `block` is not used if a.multiplier gives u.
 template <class S>
 struct Reversed {
   Vec3<S> u, d, own;
@@ -218,7 +220,7 @@ Reversed<S> reverse_particles(const VbdAdjointArguments& a, const LaneGroup<S>& 
   return to;
 }
 
-// Runs the step of a group in reverse, with all its slots.
+// Computes the adjoint of the step of a group, with all its slots.
 template <class S>
 void reverse_group(const VbdAdjointArguments& a, const LaneGroup<S>& g) {
   const Vec3<S> x = place_before(a, g);

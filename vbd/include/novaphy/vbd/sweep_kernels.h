@@ -1,6 +1,7 @@
-// A sweep over the particles of groups, as templates over the scalar. On devices the scalar is a
-// float, and a thread handles one lane of a group. On the CPU the scalar is all lanes of a group
-// (src/lanes.h), compiled once for each instruction set. Both give the same bits.
+// A sweep of VBD over the particles of groups, as templates over the scalar. A group is a set of
+// particles of one color, one in each lane. On devices the scalar is a float, and a thread handles
+// one lane. On the CPU the scalar holds all lanes of a group in a SIMD register (src/lanes.h),
+// compiled once for each instruction set. Both scalars give the same bits.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"
@@ -8,7 +9,7 @@
 #include "novaphy/vbd/particle_contact_law.h"
 #include "novaphy/vbd/rows_kernels.h"
 
-#ifndef NOVAPHY_LANE_FN  // for floats; src/lanes.h has its own
+#ifndef NOVAPHY_LANE_FN  // for float; src/lanes.h defines other values
 #define NOVAPHY_LANE_FN inline
 #endif
 #ifndef NOVAPHY_LANE_FN_APART  // for large functions with many callers
@@ -17,40 +18,41 @@
 
 namespace novaphy {
 
-// On devices: lanes of a group, groups of a large block, and terms that a block has room for (see
-// vbd_move_by_blocks).
+// On devices: the lanes of a group, the groups of a large thread block, and the terms that fit into
+// the memory of a thread block (see vbd_move_by_blocks).
 constexpr int kVbdLanes = 4, kVbdLargeBlock = 8, kVbdBlockTerms = 832;
 
 struct VbdSweepArguments {
   NOVAPHY_ARGUMENTS(Reads<int32_t> particle;  // of each lane of each group
-                    Reads<int32_t> filled;    // lanes of a group that are particles
-                    Reads<float> mass_by_h2;  // of each lane; 1 where it is no particle
-                    // by role: the first slot of each group
+                    Reads<int32_t> filled;    // count of lanes of a group with a particle
+                    Reads<float> mass_by_h2;  // of each lane (kg/s^2); 1 if it has no particle
+                    // for each role: the first slot of each group
                     Each<Reads<int64_t>, vbd::kRoles> begin; Each<Reads<int32_t>, vbd::kRoles> ints;
                     Each<Updates<float>, vbd::kRoles> floats;
                     Optional<Reads<int32_t>> contact_begin;  // null: no contacts
                     Optional<Reads<float>> contacts; Reads<VbdRow> start, target;
                     Updates<VbdRow> moved, x,
-                    to;  // where the particles of a color go: x, or memory of its own
+                    to;  // new positions of a color: x, or separate memory
                     Number<float> regularization, slip, inside;  // see ParticleContact
-                    Number<int64_t> lanes;                       // of a group
-                    Number<int64_t> damped;                      // a bit for each role
-                    Number<int64_t> turns;  // 1: blocks as in block_of with `turns`
+                    Number<int64_t> lanes;                       // count of lanes of a group
+                    Number<int64_t> damped;                      // bit r: role r has damping
+                    Number<int64_t> turns;  // 1: argument `turns` of block_of
                     Number<int64_t> first_group, end_group,
-                    block_groups;            // groups of a block: 1 or kVbdLargeBlock
-                    Writes<float> residual;  // of vbd_residual
+                    block_groups;            // groups of a thread block: 1 or kVbdLargeBlock
+                    Writes<float> residual;  // output of vbd_residual
   )
 };
 
 namespace vbd {
 
-// The access of a sweep to its scalar, which holds kLanes lanes of a group of kStride lanes.
+// How a sweep reads and writes its scalar S, which holds kLanes lanes of a group of kStride lanes.
 template <class S>
 struct LaneAccess;
 template <>
 struct LaneAccess<float> {
   static constexpr int kLanes = 1, kStride = kVbdLanes;
-  // Holds the index in a register: a thread of a device would read memory again after each store.
+  // Keeps the index in a register. Otherwise a device thread would load the index again after each
+  // store.
   struct Particles {
     int32_t index;
     Particles(const int32_t* from) : index(*from) {}
@@ -72,13 +74,13 @@ struct LaneAccess<float> {
 template <class S>
 using MaskOf = decltype(S() < S());
 
-// The lanes of a group that a scalar holds. `row`: of a launch over lanes.
+// The lanes of a group that one scalar holds. `row` is the row of a launch over lanes.
 template <class S>
 struct LaneGroup : LaneAccess<S> {
   using Access = LaneAccess<S>;
   const VbdSweepArguments& a;
   int64_t group;
-  int32_t lane, filled;                 // the first lane; the number of lanes that are particles
+  int32_t lane, filled;                 // the first lane; the number of lanes with a particle
   typename Access::Particles particle;  // of each lane
   LaneGroup(const VbdSweepArguments& arguments, int64_t row)
       : a(arguments),
@@ -91,7 +93,7 @@ struct LaneGroup : LaneAccess<S> {
   Vec3<S> at(const VbdRow* rows) const { return Access::gather(rows, particle); }
   S mass_by_h2() const { return Access::load(a.mass_by_h2 + (group * Access::kStride + lane)); }
   bool is_damped(Role role) const { return ((a.damped >> role) & 1) != 0; }
-  // Writes only the lanes that are particles.
+  // Writes only the lanes with a particle.
   void put(VbdRow* rows, const Vec3<S>& values) const {
     for (int l = 0; l < filled; ++l) Access::put(rows, particle[l], values, l);
   }
@@ -104,13 +106,13 @@ template <class S>
 NOVAPHY_LANE_FN_APART Vec3<S> gather_apart(const VbdRow* rows, const int32_t* particles) {
   return LaneAccess<S>::gather(rows, particles);
 }
-// Returns the given step of particles: after - before.
+// Returns the given step of particles: after - before (m).
 template <class S, class Arguments>
 Vec3<S> step_of(const Arguments& a, const int32_t* particles) {
   return gather_apart<S>(a.after, particles) - gather_apart<S>(a.before, particles);
 }
 
-// A slot, for the lanes of a scalar. Its numbers have the order of those of SlotInputs.
+// A slot, for the lanes of one scalar. Its numbers have the order of SlotInputs::numbers.
 template <Role role, class S>
 struct Slot {
   using Access = LaneAccess<S>;
@@ -127,8 +129,8 @@ struct Slot {
   void set(int k, S value) const { Access::store(floats + k * Access::kStride, value); }
 };
 
-// Returns the inputs of a slot, for a particle at `own`. gather(indices) returns the position of
-// another particle.
+// Returns the inputs of a slot for a particle at `own`. gather(indices) returns the positions of
+// another corner.
 template <Role role, class S, class V, class Numbers, class Gather>
 SlotInputs<role, V, Numbers> inputs_of(const Slot<role, S>& slot, const Vec3<V>& own,
                                        const Numbers& numbers, const Gather& gather) {
@@ -163,8 +165,8 @@ void for_slots(const LaneGroup<S>& g, const Body& body) {
   for (int64_t s = begin[g.group]; s < begin[g.group + 1]; ++s) body(Slot<role, S>(g.a, s, g.lane));
 }
 
-// One contact for each lane's particle, and its row in the array of contacts. Row -1: the particle
-// has no more contacts. `touching` marks the lanes with a contact.
+// The k-th contact of each lane's particle, for one k. `number` is its row in the array of
+// contacts, or -1 if the particle has no k-th contact. `touching` marks the lanes with a contact.
 template <class S>
 struct LaneContacts {
   MaskOf<S> touching{};
@@ -198,7 +200,7 @@ void for_contacts(const LaneGroup<S>& g, const Body& body) {
     body(all);
   }
 }
-// Returns the sum of the contacts' blocks.
+// Returns the sum of the blocks of all contacts of each particle.
 template <template <class> class B = Block, class S>
 B<S> contact_blocks(const LaneGroup<S>& g, const Vec3<S>& x) {
   B<S> outer;
@@ -210,9 +212,9 @@ B<S> contact_blocks(const LaneGroup<S>& g, const Vec3<S>& x) {
   return outer;
 }
 
-// Returns the block of the particles of a group at x. The order of the sum is: contacts and outer
-// elements, then inertia and the other elements, then both sums. see(block) gets the blocks of the
-// contacts together and of each element. B: Block or Force.
+// Returns the block of the particles of a group at x. The order of the sum is fixed: first contacts
+// and outer elements, separately inertia and the other elements, then both sums. see(block)
+// receives the sum over the contacts, and then the block of each element. B is Block or Force.
 template <template <class> class B = Block, class S, class See>
 B<S> block_at(const LaneGroup<S>& g, const Vec3<S>& x, const See& see) {
   const bool turns = g.a.turns != 0;
@@ -239,8 +241,8 @@ B<S> block_at(const LaneGroup<S>& g, const Vec3<S>& x) {
   return block_at<B>(g, x, [](const B<S>&) {});
 }
 
-// Returns the energy of the elements of particles at x (J). The contacts have the loads of the
-// position `from`.
+// Returns the energy of each particle at x (J): inertia, contacts and elements. The friction of
+// contacts uses the loads at the position `from`.
 template <class S>
 S energy_at(const LaneGroup<S>& g, const Vec3<S>& x, const Vec3<S>& from) {
   using math::select;
@@ -258,7 +260,7 @@ S energy_at(const LaneGroup<S>& g, const Vec3<S>& x, const Vec3<S>& from) {
   return energy;
 }
 
-// Writes the slots' numbers of the start of the step.
+// Computes the values of the slots at the start of the step, and stores them in the slots.
 template <class S>
 void prepare(const LaneGroup<S>& g) {
   const Vec3<S> x = g.at(g.a.start);
@@ -273,8 +275,8 @@ void prepare(const LaneGroup<S>& g) {
   });
 }
 
-// Returns the step d, halved up to four times while the energy would rise. If the energy still
-// rises, returns 0.
+// Returns the step d, halved up to four times while the energy would rise. Returns 0 if the energy
+// would still rise.
 template <class S>
 Vec3<S> guarded_step(const LaneGroup<S>& g, const Vec3<S>& x, Vec3<S> d) {
   using math::select;
@@ -302,8 +304,9 @@ void move(const LaneGroup<S>& g) {
   g.put(g.a.to, g.at(g.a.start) + moved);
 }
 
-// The part of a particle in the sums of a residual: |f|^2, the square of the sum of the |f| of its
-// contacts and elements, and the square of the change of f by one rounding of the position.
+// The part of a particle in the sums of a residual. force: |f|^2. parts: the square of the sum of
+// |f| over its contacts and elements. rounding: the square of the change of f by one rounding of
+// the position.
 struct ParticleResidual {
   float force = 0.0f, parts = 0.0f, rounding = 0.0f;
 };

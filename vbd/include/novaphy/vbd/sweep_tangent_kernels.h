@@ -1,5 +1,5 @@
-// The tangent of a sweep (sweep_kernels.h) along a direction. A particle moves by d = H^-1 f, so d'
-// = H^-1 (f' - H' d). At a solution f = 0, and d' = H^-1 f'.
+// The tangent of a sweep (sweep_kernels.h) along a direction. A particle moves by d = H^-1 f, so
+// the tangent of d is d' = H^-1 (f' - H' d). At a solution f = 0, and d' = H^-1 f'.
 #pragma once
 
 #include "novaphy/math/dual.h"
@@ -7,30 +7,29 @@
 
 namespace novaphy {
 
-// The tangents that a sweep reads and writes. Null means 0.
+// The tangents that a sweep reads and writes. A null input means 0.
 struct VbdTangentArguments {
   NOVAPHY_ARGUMENTS(Part<VbdSweepArguments> sweep; Optional<Reads<VbdRow>> x, start, target;
-                    Optional<Reads<float>> mass;      // of mass/h^2, per particle
+                    Optional<Reads<float>> mass;      // tangent of mass/h^2, per particle
                     Optional<Reads<float>> contacts;  // kContactLawFloats for each contact
-                    // of slots: the tangents of all their numbers
+                    // the tangents of all numbers of the slots
                     Optional<Updates<float>> numbers;
                     Each<Number<int64_t>, vbd::kRoles> begins;  // where the numbers of a role begin
-                    Optional<Reads<VbdRow>> load;               // added to the derivative of f
+                    Optional<Reads<VbdRow>> load;               // added to f'
                     Number<int64_t> at_solution;                // 1: at a solution, where f = 0
-                    // The loads of friction are those of these positions, as in its energy. f then
-                    // has a potential. Null: the loads are those of x.
+                    // The friction loads are those at these positions, as in the energy of the
+                    // safeguard. f then has a potential. Null: the loads at x.
                     Optional<Reads<VbdRow>> loads_at;
-                    // Written: f, the tangent of f, and the tangent of the particles' steps. Null:
-                    // not wanted.
+                    // Outputs: f, f', and the tangent of the particles' steps. Null: not computed.
                     Optional<Updates<VbdRow>> force, force_tangent, step_tangent;
-                    // The ends of a step d = after - before of all particles. Not null: elements
-                    // are left out, and the tangent of f is reduced by H' d.
+                    // The ends of a given step d = after - before of all particles. If not null,
+                    // the sum leaves out elements, and force_tangent is f' - H' d.
                     Optional<Reads<VbdRow>> before, after;)
 };
 
 namespace vbd {
 
-// Gathers rows of particles with their tangents.
+// Returns the vectors of some particles as dual numbers. Without `tangents` the tangents are 0.
 template <class S>
 Vec3<math::Dual<S>> gather_tangents(const VbdRow* values, const VbdRow* tangents,
                                     const int32_t* index) {
@@ -39,7 +38,7 @@ Vec3<math::Dual<S>> gather_tangents(const VbdRow* values, const VbdRow* tangents
       tangents != nullptr ? LaneAccess<S>::gather(tangents, index) : Vec3<S>{});
 }
 
-// The lanes of a group, with the tangents of their inputs.
+// The lanes of a group, with the values and tangents of their inputs as dual numbers.
 template <class S>
 struct TangentGroup {
   using Access = LaneAccess<S>;
@@ -52,7 +51,7 @@ struct TangentGroup {
   Point start(const int32_t* p) const { return gather_tangents<S>(a.sweep.start, a.start, p); }
   static Point still(const Vec3<S>& v) { return math::with_tangent(v, Vec3<S>{}); }
 
-  // The numbers of a slot with their tangents. Without `tangents` these are 0.
+  // The numbers of a slot as dual numbers. Without `tangents` the tangents are 0.
   template <Role role>
   struct Numbers {
     Slot<role, S> slot;
@@ -75,7 +74,7 @@ struct TangentGroup {
       block = block + block_of(in, g.is_damped(role), a.sweep.turns != 0);
     });
   }
-  // `stiffness`: with the blocks of a coarse step.
+  // `stiffness`: the blocks have the H of a coarse step.
   template <bool stiffness = false>
   Block<Tangent> contacts(const Point& x) const {
     Block<Tangent> outer;
@@ -104,7 +103,7 @@ struct TangentGroup {
       Access::set(mass, l, a.mass[g.particle[l]]);
     return {g.mass_by_h2(), mass};
   }
-  // Returns the block with its tangent. The sum has the order of block_at.
+  // Returns the block as dual numbers. The sum has the order of block_at.
   Block<Tangent> block(const Point& x) const {
     Block<Tangent> outer = contacts(x);
     const bool all = a.after == nullptr;
@@ -135,7 +134,7 @@ void tangent(const VbdTangentArguments& a, const LaneGroup<S>& g) {
   g.put(a.step_tangent, solve_block(factors, load));
 }
 
-// Writes the tangents of the slots' numbers of the start to `numbers`.
+// Writes the tangents of the slots' values at the start of the step to `numbers`.
 template <class S>
 void tangent_start(const VbdTangentArguments& a, const LaneGroup<S>& g) {
   if (g.filled == 0) return;

@@ -1,18 +1,22 @@
-// The law of one rigid body in a step of VBD: inertia, the 6x6 block, and its solution.
+// The law of one rigid body in a step of VBD: the inertial energy T, its force and 6x6 stiffness,
+// and the update of the pose.
 //
 //   T(u, q) = m/(2 h^2) |u - u*|^2 + 1/(2 h^2) th . I* th,   th = log(q q*^-1)
 // Symbols:
-//   u, q     displacement of the center of mass and rotation since the start of the step, world
-//   u*, q*   both at the inertial target: u* = h v + h^2 (g + f/m), q* = exp(h w')
-//   w'       the angular velocity after the moment t and the gyroscopic term, in body axes by the
-//            midpoint rule: I (w' - w) + h wm x I wm = h t, wm = (w + w')/2. Without a moment w'
-//            keeps |I w| and the energy.
-//   I*       the inertia in world axes at the target (kg m^2)
-// The gradient for a world increment dw of the rotation is J_l(th)^-T I* th/h^2, which is exact.
-// The block takes I*/h^2, to first order in th.
+//   u, q     displacement of the center of mass (m) and rotation since the start, world frame
+//   u*, q*   u and q at the inertial target, which the body reaches without contacts and joints:
+//            u* = h v + h^2 (g + f/m), q* = exp(h w')
+//   h        step size (s), m the mass (kg), f the external force (N)
+//   w'       angular velocity at the target (rad/s, body axes), by the midpoint rule with the
+//            moment t (N m): I (w' - w) + h wm x I wm = h t, wm = (w + w')/2. If t = 0, the rule
+//            keeps |I w| and the kinetic energy.
+//   I*       inertia in world axes at the target (kg m^2)
+// The gradient of T with respect to a world increment dw of the rotation is J_l(th)^-T I* th/h^2,
+// with the left Jacobian J_l of SO(3). This gradient is exact. The stiffness is I*/h^2, its value
+// at th = 0.
 //
 // Sources: Chen et al. 2024, Vertex Block Descent; Giles et al. 2025, Augmented VBD.
-// Kinks: a rotation from the target by pi, where the shorter way is taken.
+// Kink: a rotation th by pi, where log takes the shorter way.
 #pragma once
 
 #include "novaphy/math/functions.h"
@@ -24,14 +28,15 @@ namespace novaphy {
 // The motion of a body since the start of the step.
 struct alignas(16) VbdBodyMotion {
   using Element = Vec4f;
-  Vec3f moved{};  // of the center of mass (m)
+  Vec3f moved{};  // displacement of the center of mass (m)
   float unused = 0.0f;
   Quatf turned = Quatf::identity();
   Vec3f turn{};  // the rotation vector of `turned` (rad)
   float unused2 = 0.0f;
 };
 
-// A body in a step. mass_by_h2 is 0 for a body that no force moves.
+// The inertial target of a body in a step, and its inertia. mass_by_h2 (kg/s^2) is 0 for a
+// kinematic body.
 struct alignas(16) VbdBody {
   using Element = Vec4f;
   Vec3f target{};
@@ -43,14 +48,14 @@ struct alignas(16) VbdBody {
 
 namespace vbd {
 
-// Returns the quaternion of a rotation vector.
+// Returns the unit quaternion of the rotation vector w (rad).
 inline Quatf exp_rotation(const Vec3f& w) {
   const float angle = math::length(w), half = 0.5f * angle;
   const float s = angle > 1e-4f ? math::sin(half) / angle : 0.5f - angle * angle / 48.0f;
   return {w.x * s, w.y * s, w.z * s, math::cos(half)};
 }
 
-// Returns the rotation vector of a unit quaternion, at most pi long.
+// Returns the rotation vector (rad) of a unit quaternion. Its length is at most pi.
 inline Vec3f log_rotation(const Quatf& q) {
   const float sign = q.w < 0.0f ? -1.0f : 1.0f;
   const Vec3f v = Vec3f{q.x, q.y, q.z} * sign;
@@ -65,7 +70,7 @@ inline Quatf unit(const Quatf& q) {
 }
 
 struct Perpendicular {
-  Vec3f t[3];  // two unit vectors perpendicular to the third
+  Vec3f t[3];  // t[0], t[1]: unit vectors perpendicular to each other and to the unit vector t[2]
 };
 inline Perpendicular perpendicular(const Vec3f& axis) {
   const Vec3f other = math::abs(axis.x) < 0.6f ? Vec3f{1.0f, 0.0f, 0.0f} : Vec3f{0.0f, 1.0f, 0.0f};
@@ -79,7 +84,7 @@ inline Vec3f rotate_change(const Quatf& q, const Vec3f& r) {
   return (c * q.w + math::cross(v, c)) * 2.0f;
 }
 
-// Returns J_l(th)^-T v, for th = log(q).
+// Returns J_l(th)^-T v for th = log(q), with the left Jacobian J_l of SO(3).
 inline Vec3f inverse_left_jacobian_transposed(const Quatf& q, const Vec3f& th, const Vec3f& v) {
   const float square = math::dot(th, th);
   float c = 1.0f / 12.0f + square / 720.0f;
@@ -91,8 +96,8 @@ inline Vec3f inverse_left_jacobian_transposed(const Quatf& q, const Vec3f& th, c
   return v + once * 0.5f + math::cross(th, once) * c;
 }
 
-// Returns the angular velocity in body axes after h, by three Newton iterations of the midpoint
-// rule. `moment` in body axes (N m).
+// Returns the angular velocity after the time h (rad/s, body axes), by three Newton iterations of
+// the midpoint rule. `moment` is in body axes (N m).
 inline Vec3f turn_freely(const Mat33f& inertia, const Vec3f& w, const Vec3f& moment, float h) {
   using namespace math;
   Vec3f next = w;
@@ -115,26 +120,27 @@ inline Vec3f turn_freely(const Mat33f& inertia, const Vec3f& w, const Vec3f& mom
   return next;
 }
 
-// The force on a body (N, N m) and its block, which is read on and below the diagonal.
+// The force f on a body (N, N m) and its stiffness matrix h, of which only the lower triangle is
+// used.
 struct BodyBlock {
   float f[6] = {};
   float h[6][6] = {};
 };
 
-// Adds a force at the lever r, and a moment.
+// Adds a force (N) at the center of mass and a moment (N m) about the center.
 inline void add_force(BodyBlock& b, const Vec3f& force, const Vec3f& moment) {
   const float of[6] = {force.x, force.y, force.z, moment.x, moment.y, moment.z};
   for (int i = 0; i < 6; ++i) b.f[i] = b.f[i] + of[i];
 }
 
-// Adds k j j^T for the row j = (linear, angular).
+// Adds k j j^T to the stiffness, for the row j = (linear, angular) of a Jacobian.
 inline void add_row(BodyBlock& b, float k, const Vec3f& linear, const Vec3f& angular) {
   const float j[6] = {linear.x, linear.y, linear.z, angular.x, angular.y, angular.z};
   for (int r = 0; r < 6; ++r)
     for (int c = 0; c <= r; ++c) b.h[r][c] = b.h[r][c] + (k * j[r]) * j[c];
 }
 
-// Returns the block of inertia at a motion.
+// Returns the force and stiffness of inertia for a motion of the body.
 inline BodyBlock inertia_block(const VbdBody& body, const VbdBodyMotion& at) {
   BodyBlock b;
   const Quatf off = math::multiply(at.turned, math::conjugate(body.target_turned));
@@ -154,7 +160,8 @@ inline BodyBlock inertia_block(const VbdBody& body, const VbdBodyMotion& at) {
   return b;
 }
 
-// Moves a body by the increment d = (du, dw).
+// Moves a body by the increment d = (du, dw): a displacement (m) and a rotation vector (rad), in
+// the world frame.
 inline void move_body(VbdBodyMotion& at, const float (&d)[6]) {
   at.moved = at.moved + Vec3f{d[0], d[1], d[2]};
   at.turned = unit(math::multiply(exp_rotation({d[3], d[4], d[5]}), at.turned));

@@ -1,21 +1,25 @@
-// The law of a rigid contact in VBD: a compliant one-sided row, and Coulomb friction.
+// The law of a rigid contact between the bodies A and B in VBD: a compliant one-sided normal force,
+// and Coulomb friction. The law is an augmented Lagrangian.
 //
 //   C   = -(gap + n . (move_B - move_A)),  move = u + rotate(q, r) - r     depth (m)
 //   F_n = max(0, k C + s lam_n + kd/h max(0, C - C_0)),  s = K/(K + rho), k = K rho/(K + rho)
 //   F_t = the point of the disk of radius mu F_n nearest to lam_t - rho_t slip
-//   slip = the tangential part of (u + turn x arm)_B - (u + turn x arm)_A
+//   slip = the tangential part of (u + turn x arm)_B - (u + turn x arm)_A    (m)
 // Symbols:
 //   n        unit normal from A to B at the start of the step; constant in the step
-//   r        lever of the nearest point of the shape's core: the center of a sphere, say
-//   arm      lever of the point halfway between both surfaces: there act all forces, so that
-//            momentum and angular momentum are conserved
-//   gap      distance of the surfaces at the start (m), with margins
-//   K, kd    stiffness (N/m) and damping (N s/m) of the pair, mu its friction
-//   rho      stiffness of the iteration (N/m), which the solution does not depend on
+//   u, q     displacement (m) and rotation of a body since the start (body_law.h)
+//   turn     rotation vector of q (rad)
+//   r        lever of the nearest point of the shape's core, for example the center of a sphere
+//   arm      lever of the point halfway between both surfaces. All forces act at this point, so
+//            that momentum and angular momentum are conserved.
+//   gap      distance of the surfaces at the start (m), less the margins; C_0 = -gap
+//   K, kd    stiffness (N/m) and damping (N s/m) of the pair, mu its friction coefficient
+//   rho      penalty stiffness of the iteration (N/m), which does not change the solution
 //   lam      multipliers (N): lam_n <- max(0, s (lam_n + rho C)), then lam_t <- F_t
-// At the solution lam_n = K C. Friction sticks: its own stiffness is infinite.
+// At the solution lam_n = K C. A sticking contact does not slip, because friction has no
+// compliance.
 // Sources: Giles et al. 2025; the compliant form: Newton 1.8.0.
-// Kinks: F_n = 0, the cone, C = C_0.
+// Kinks: F_n = 0, the border of the friction cone, C = C_0.
 #pragma once
 
 #include "novaphy/vbd/bodies/body_law.h"
@@ -31,12 +35,13 @@ struct alignas(16) VbdBodyContact {
   Vec3f core[2] = {}, arm[2] = {};
   float mu = 0.0f, rho = 0.0f, rho_t = 0.0f, lam_n = 0.0f;
   Vec3f lam_t{};
-  float in_trees = 1.0f;  // the factor of its stiffness in the blocks of trees
+  float in_trees = 1.0f;  // scales the stiffness in the blocks of trees (bodies_kernels.h)
 };
 
 namespace vbd {
 
-// The force on B, and the stiffness k_n n n^T + k_t (1 - n n^T - t t^T) + k_s t t^T.
+// The force on B (N) and its stiffness (N/m): k_n n n^T + k_t (1 - n n^T - t t^T) + k_s t t^T, with
+// the direction of the slip t.
 struct ContactForce {
   float normal = 0.0f, k_n = 0.0f, k_t = 0.0f, k_s = 0.0f;
   Vec3f friction{}, slip_direction{};
@@ -55,7 +60,7 @@ inline Vec3f contact_slip(const VbdBodyContact& c, const VbdBodyMotion& a, const
   return move - c.normal * math::dot(c.normal, move);
 }
 
-// Returns the nearest vector that is at most `limit` long.
+// Returns v, shortened to the length `limit` if v is longer.
 inline Vec3f within(const Vec3f& v, float limit) {
   const float l = math::length(v);
   return l > limit ? v * (limit / l) : v;
@@ -83,7 +88,7 @@ inline ContactForce contact_force(const VbdBodyContact& c, const VbdBodyMotion& 
   return f;
 }
 
-// Updates the multipliers after an iteration.
+// Updates the multipliers after an iteration. slip_bound (m): see contact_force.
 inline void update_contact(VbdBodyContact& c, const VbdBodyMotion& a, const VbdBodyMotion& b,
                            float slip_bound) {
   const ContactForce f = contact_force(c, a, b, slip_bound);
@@ -92,8 +97,8 @@ inline void update_contact(VbdBodyContact& c, const VbdBodyMotion& a, const VbdB
   c.lam_t = f.friction;
 }
 
-// Calls row(k, linear) for the rows of the stiffness of a contact. Their angular parts are
-// cross(arm, linear).
+// Calls row(k, linear) for each rank-1 term k j j^T of the stiffness of a contact. `linear` is the
+// linear part of j. The angular part of j is cross(arm, linear).
 template <class Row>
 void for_contact_rows(const VbdBodyContact& c, const ContactForce& f, const Row& row) {
   using namespace math;
@@ -105,8 +110,8 @@ void for_contact_rows(const VbdBodyContact& c, const ContactForce& f, const Row&
   row(f.k_t, cross(c.normal, t));
 }
 
-// Adds the force of a contact to the block of its body `side`: 0 is A, 1 is B. Calls row(k, linear,
-// angular of the body, angular of the other) for its stiffness.
+// Adds the force of a contact to the block of body A (side 0) or B (side 1). Calls row(k, linear,
+// angular, angular of the other body) for each rank-1 term of the stiffness.
 template <bool with_stiffness, class Row>
 void add_contact(BodyBlock& block, const VbdBodyContact& c, int side, const VbdBodyMotion& a,
                  const VbdBodyMotion& b, float slip_bound, const Row& row) {

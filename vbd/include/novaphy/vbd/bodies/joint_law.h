@@ -1,19 +1,27 @@
-// The law of a joint between two rigid bodies in VBD: hard rows, and compliant rows of the axis.
+// The law of a joint between two rigid bodies in VBD, by an augmented Lagrangian: hard constraints
+// of points and rotations, and compliant rows along or about the joint axis.
 //
 //   points      raw = (x + r)_B - (x + r)_A,  C = raw - keep;  PRISMATIC: without the axis
-//   turns       REVOLUTE: a_A x a_B;  FIXED, PRISMATIC: 2 vec(R_B E R_A^-1), less a part at start
-//   force on B  -(rho C + lam) at the anchor of B; A gets the opposite there
-//   axis        clamp(k (rest - q) + s lam, lo, hi),  q = the angle or distance
+//   rotations   REVOLUTE: a_A x a_B - keep_turn;  FIXED, PRISMATIC: 2 vec(R_B E R_A^-1) - keep_turn
+//   force on B  -(rho C + lam) at the anchor of B; A gets the opposite force at the same point
+//   axis        clamp(k (rest - q) + s lam, lo, hi)
 // Symbols:
-//   r           levers of the anchors, which turn with their bodies
-//   keep        the part of the error at the start that the step leaves (kVbdKeptError)
-//   a_A, a_B    the axis in both bodies; E the relative rotation at the start
-//   s, k        K/(K + rho) and s rho; 1 and rho for K = infinity: no compliance
+//   x, R        center of mass (m) and rotation since the start of the step, of a body
+//   r           levers of the anchors (m), which rotate with their bodies
+//   keep, keep_turn   part kVbdKeptError of the error at the start, which the step does not correct
+//   a_A, a_B    the joint axis as a vector fixed to A and to B
+//   E           rotation from the joint frame of A to that of B at the start
+//   q           REVOLUTE: angle (rad). PRISMATIC: displacement (m). DISTANCE: distance of the
+//               anchors (m).
+//   rest        the value of q without force; lo, hi: bounds of the force
+//   K, rho      stiffness of a row; penalty stiffness of the iteration
+//   s, k        K/(K + rho) and s rho; for K = infinity (no compliance): 1 and rho
 //   lam         multipliers: lam <- lam + rho C; of the axis: s (lam + rho (rest - q)), clamped
-// q is that of the start plus the change along the axis; revolute angles to first order in turns
-// about other axes. DISTANCE has one row along the line between the anchors.
-// Sources: Giles et al. 2025; the geometric stiffness D: section 3.5 there.
-// Kinks: lo, hi; anchors of a DISTANCE joint that coincide.
+// The angle of a REVOLUTE joint is the angle at the start plus the difference of the bodies'
+// rotation vectors along the axis. This sum is exact to first order in rotations about other axes.
+// DISTANCE has rows along the line between the anchors.
+// Sources: Giles et al. 2025, with the geometric stiffness of its section 3.5.
+// Kinks: q where the force meets lo or hi; anchors of a DISTANCE joint that coincide.
 #pragma once
 
 #include "novaphy/vbd/bodies/body_law.h"
@@ -25,7 +33,7 @@ constexpr int kVbdAxisRows = 4;  // drive, damping, limit, dry friction
 
 enum class VbdBodyJointKind : int32_t { Ball, Fixed, Revolute, Prismatic, Distance };
 
-// A row along the axis; no row if stiffness is 0.
+// A compliant row along or about the joint axis. The row does not act if stiffness is 0.
 struct VbdAxisRow {
   float stiffness = 0.0f, rest = 0.0f, lower = 0.0f, upper = 0.0f, lam = 0.0f, rho = 0.0f;
 };
@@ -34,13 +42,13 @@ struct alignas(16) VbdBodyJoint {
   using Element = Vec4f;
   int32_t body[2] = {-1, -1};
   VbdBodyJointKind kind = VbdBodyJointKind::Ball;
-  float force = 0.0f;  // along the axis
+  float force = 0.0f;  // given force along the axis (N), or moment about it (N m)
   Vec3f arm[2] = {}, gap{}, keep{}, axis[2] = {}, keep_turn{};
   Quatf turned = Quatf::identity();
   Vec3f lam{}, lam_turn{};
   float rho = 0.0f, rho_turn = 0.0f, coordinate = 0.0f;
   VbdAxisRow rows[kVbdAxisRows] = {};
-  float in_trees = 1.0f;  // the factor of its stiffness in the blocks of trees
+  float in_trees = 1.0f;  // scales the stiffness in the blocks of trees (bodies_kernels.h)
 };
 
 namespace vbd {
@@ -57,7 +65,7 @@ struct JointForce {
 
 inline Vec3f turned_by(const Quatf& q, const Vec3f& v) { return v + rotate_change(q, v); }
 
-// The errors of a joint at a motion of its bodies.
+// The constraint errors and the coordinate of a joint, for given motions of its bodies.
 struct JointErrors {
   Vec3f arm[2], axis, raw, turn;
   float coordinate = 0.0f;
@@ -69,7 +77,7 @@ inline JointErrors joint_errors(const VbdBodyJoint& j, const VbdBodyMotion& a,
   const Vec3f change[2] = {rotate_change(a.turned, j.arm[0]), rotate_change(b.turned, j.arm[1])};
   e.raw = j.gap + ((b.moved + change[1]) - (a.moved + change[0]));
   e.arm[1] = j.arm[1] + change[1];
-  e.arm[0] = (j.arm[0] + change[0]) + e.raw;  // to the anchor of B
+  e.arm[0] = (j.arm[0] + change[0]) + e.raw;  // from the center of A to the anchor of B
   e.axis = turned_by(a.turned, j.axis[0]);
   if (j.kind == VbdBodyJointKind::Revolute) {
     e.turn = math::cross(e.axis, turned_by(b.turned, j.axis[1])) - j.keep_turn;
@@ -86,7 +94,8 @@ inline JointErrors joint_errors(const VbdBodyJoint& j, const VbdBodyMotion& a,
   return e;
 }
 
-// The number of rows of points and of turns, in the order of Perpendicular.
+// Return the number of hard rows: point_rows for points, turn_rows for rotations. The rows act
+// along the first vectors of Perpendicular.
 inline int point_rows(VbdBodyJointKind kind) {
   return kind == VbdBodyJointKind::Distance ? 0 : kind == VbdBodyJointKind::Prismatic ? 2 : 3;
 }
@@ -151,8 +160,8 @@ inline void update_joint(VbdBodyJoint& j, const VbdBodyMotion& a, const VbdBodyM
   }
 }
 
-// Adds the force of a joint to the block of its body `side`: 0 is A, 1 is B. Calls row as
-// add_contact does.
+// Adds the force of a joint to the block of body A (side 0) or B (side 1). Calls row(k, linear,
+// angular, angular of the other body) for each rank-1 term of the stiffness.
 template <bool with_stiffness, class Row>
 void add_joint(BodyBlock& block, const VbdBodyJoint& j, int side, const VbdBodyMotion& a,
                const VbdBodyMotion& b, const Row& row) {
@@ -164,7 +173,8 @@ void add_joint(BodyBlock& block, const VbdBodyJoint& j, int side, const VbdBodyM
   if (!with_stiffness) return;
   for (int k = 0; k < f.count; ++k)
     row(f.rows[k].k, f.rows[k].linear, f.rows[k].angular[side], f.rows[k].angular[1 - side]);
-  // Column norms of the geometric stiffness sym(f r^T) - (f . r) 1 of a point that turns.
+  // Adds the column norms of the geometric stiffness sym(f r^T) - (f . r) 1 to the diagonal. This
+  // stiffness exists because the lever r rotates with the body.
   const float along = dot(force, arm);
   const float fs[3] = {force.x, force.y, force.z}, rs[3] = {arm.x, arm.y, arm.z};
   for (int c = 0; c < 3; ++c) {

@@ -1,61 +1,70 @@
-// The common part of the elements of VBD.
+// The common base of the elements of VBD: springs, triangles, bending edges and tetrahedra.
 //
-// A slot is an element as one of its particles sees it. The struct of an element (spring.h) has all
-// that the solver needs from the element, and is also the slot of each corner. An element whose
-// corners have different laws (hinge.h) has an additional struct for each slot.
+// A corner of an element is a particle that the element connects. A slot is the incidence of an
+// element and one of its corners. The sweep reads a slot to move that corner. The struct of an
+// element (spring.h) describes the element for the solver, and is also the type of its slots. An
+// element whose corners have different laws (hinge.h) has one more struct for each type of slot.
 //
-// The numbers of a slot are the weights of the other corners, the coefficients of the law, and
-// values of the start of the step. The numbers depend on parameters: columns of arrays of Model.
+// A slot stores numbers: the weights of the other corners, the coefficients of the law, and values
+// at the start of the step. The weights and coefficients depend on parameters, which are columns of
+// arrays of Model.
 //
-// Freestanding: device code reads it too. The scalar is a float, lanes of floats, carries a
-// derivative (math/dual.h), or is an expression (tools/vbd_adjoints).
+// Freestanding (no standard headers), because device code includes this header. The scalar is a
+// float, SIMD lanes of floats, a dual number (math/dual.h), or a symbolic expression
+// (tools/vbd_adjoints).
 #pragma once
 
 #include "novaphy/vbd/stiffness_law.h"
 
 namespace novaphy::vbd {
 
-// The meaning of the columns of an array. kMaterial: coefficients; an element acts where one of
-// them is not 0.
+// The meaning of the columns of an array. kMaterial: coefficients of the law. An element is skipped
+// if all its coefficients are 0.
 enum ArrayUse : int { kMaterial, kRestShape, kRestLength, kActivation };
 
-constexpr int kMostArrays = 4, kMostSlots = 2;  // arrays of parameters, and slots, of an element
+constexpr int kMostArrays = 4, kMostSlots = 2;  // the most parameter arrays and slots of an element
 
-// The base of the struct of an element, with defaults. The struct also has:
-// - kLawFloats and kStartFloats, the numbers of the law and of the start; kDampingParameter;
-// - block<B>(in, damped), a Block or a Force, and energy(in);
-// - put_start(in, put) and put_numbers(corner, parameters, h, put), which call put(k, value) for
-// the k-th number of the start and of the slot;
-// - with more than two corners stiffness(in, damped), a function of d that sums H_k d[k], with the
-// stiffness H_k (stiffness_law.h) between the own corner and itself (k = 0) or another corner. The
-// function may have a member between(k), which returns H_k for k > 0: kHasBetween.
+// The base of the struct of an element, with default values. The struct also defines:
+// - kLawFloats and kStartFloats: counts of a slot's coefficients, and of its values at the start of
+// the step; kDampingParameter: index of kd among the parameters;
+// - block<B>(in, damped): the Block or Force of the slot's own corner; energy(in): the energy (J);
+// - put_start(in, put) and put_numbers(corner, parameters, h, put): compute the values at the start
+// of the step and the other numbers of a slot, and call put(k, value) for each of them;
+// - stiffness(in, damped), if the element has more than two corners: returns a function of
+// displacements d that sums H_k d[k]. H_k is the stiffness (stiffness_law.h) between the own corner
+// and itself (k = 0) or another corner. If kHasBetween is true, the function has a member
+// between(k) that returns H_k for k > 0.
 template <int corners>
 struct ElementOf {
   static constexpr int kCorners = corners;
   static constexpr int kWeights = 0;     // count of weights among a slot's numbers
-  static constexpr int kActivated = -1;  // the number that an activation changes; -1: none
-  // number of slots of the element, and the index of this one
+  static constexpr int kActivated = -1;  // index of the number that an activation changes; -1: none
+  // number of slot types of the element, and the index of this type
   static constexpr int kSlots = 1, kSlot = 0;
   static constexpr bool kIsOuter = false;         // summed with the contacts, before the inertia
-  static constexpr bool kIsAlwaysDamped = false;  // false: no damping terms where all kd are 0
-  static constexpr bool kResistsTurns = false;    // H of block() is larger than H_0
+  static constexpr bool kIsAlwaysDamped = false;  // false: without damping terms if all kd are 0
+  static constexpr bool kResistsTurns = false;    // H of block() is larger than H_0 of stiffness()
   static constexpr bool kHasBetween = false;      // stiffness() has the member between(k)
   static constexpr bool kMayLackCorners = false;
-  static constexpr const char* kUnread = "";  // names of the material's columns that no force reads
-  // True: the struct has is_defined(in), and derivatives are 0 where it returns false.
+  static constexpr const char* kUnread = "";  // columns of the material that no force uses
+  // True: the struct has is_defined(in), which returns whether the law is defined. If not,
+  // derivatives are 0.
   static constexpr bool kMayBeUndefined = false;
-  // Returns the slot of a corner. slot_of may depend on flags of the model, which for_flags lists.
+  // Returns the index of the slot type of a corner. The index may depend on arrays of flags of the
+  // model, which for_flags lists.
   template <class M>
   static int slot_of(const M&, int32_t, int) {
     return 0;
   }
   template <class M, class Body>
   static void for_flags(M&, const Body&) {}
-  // Returns the corner that is the k-th other one of the slot of `corner`.
+  // Returns the index of the k-th other corner, in the order in which the slot of `corner` lists
+  // them.
   static constexpr int other_corner(int corner, int k) { return (corner + 1 + k) % corners; }
 };
 
-// The arrays of an element. PARAMETERS(X) lists X(array of Model, columns read, columns, ArrayUse).
+// Declares the index array and the parameter arrays of an element. PARAMETERS(X) lists X(array of
+// Model, count of columns that the law reads, count of all columns, ArrayUse) for each array.
 #define NOVAPHY_VBD_COLUMNS(array, columns, width, use) +columns
 #define NOVAPHY_VBD_VISIT_COLUMNS(array, columns, width, use) body(columns, width, use);
 #define NOVAPHY_VBD_VISIT_ARRAY(array, columns, width, use) body(#array, m.array, columns, use);
@@ -74,8 +83,9 @@ struct ElementOf {
     body(#INDICES, m.INDICES);                                          \
   }
 
-// Puts the weights of the other corners, in their order behind `corner`: their rows of the inverse
-// rest matrix {n, n}. The row of corner 0 is minus the sum of the rows.
+// Computes the weights of the other corners of a slot, in the order of other_corner. The weights of
+// corner m > 0 are row m - 1 of the inverse rest matrix {n, n}. The weights of corner 0 are minus
+// the sum of these rows.
 template <int n, class T, class Put>
 void put_weights(int corner, const T* pose, const Put& put) {
   for (int m = 0; m < n; ++m)
@@ -91,8 +101,8 @@ void put_weights(int corner, const T* pose, const Put& put) {
     }
 }
 
-// Puts the coefficients of stable Neo-Hookean elasticity, scaled by the size at rest, from the
-// number `first` on.
+// Computes the four coefficients of stable Neo-Hookean elasticity: size mu, size ln, alpha and
+// size kd/h (triangle.h). `size` is the rest area or volume. `first` is the index of the first one.
 template <class T, class Put>
 void put_neo_hookean(int first, const T& size, const T& mu, const T& lambda, const T& activation,
                      const T& kd_by_h, const Put& put) {

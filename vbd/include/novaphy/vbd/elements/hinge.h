@@ -1,20 +1,25 @@
 // A bending edge in VBD: a rotational spring and damper between two triangles.
 //
-// Law, for the opposite vertices 0, 1 and the edge from 2 to 3. The header math/hinge.h gives the
-// unit normals n1, n2 of lengths N1, N2, the unit vector e along the edge, and the angle th. The
-// angle at the start of the step h is thn, and wrap(.) goes into (-pi, pi] by one turn:
+// Law, for the edge from vertex 2 to vertex 3 and the opposite vertices 0 and 1. The header
+// math/hinge.h gives the unit normals n1 and n2 of the triangles, with the lengths N1 and N2 before
+// normalization. The header also gives the unit vector e along the edge, the length |e| of the
+// edge, and the bending angle th.
+//
+// The step size is h, and thn is the angle at the start of the step. The function wrap adds or
+// subtracts one turn, so that the result is in (-pi, pi]:
 //   E = ke L/2 (th - rest)^2 + kd L/(2h) wrap(th - thn)^2
 //   f = -(ke L (th - rest) + kd L/h wrap(th - thn)) t,  H = (ke + kd/h) L t t^T,  t = dth/dx
 //   dth/dx0 = -n1 |e|/N1                      dth/dx2 = n1 ((x3-x0).e)/N1 + n2 ((x3-x1).e)/N2
-// The vertices 1 and 3 are 0 and 2 of the same edge read from its other side. H is the Gauss-Newton
-// part of the second derivative: rank 1, positive semidefinite. No force where a length is < 1e-6.
-// Symbols: x (m), L = length of the edge at rest (m), ke (N/m^2 per rad), kd (N*s/m^4), angles rad.
+// H is the Gauss-Newton part of the second derivative: rank 1, positive semidefinite. The formulas
+// for the vertices 1 and 3 follow from those for 0 and 2, because the same edge can be read from
+// its other side. The force is 0 where a length is < 1e-6.
+// Symbols: x (m), L = rest length of the edge (m), ke (N/m^2 per rad), kd (N*s/m^4), angles (rad).
 //
-// Source: the closed form of Bridson, Marino, Fedkiw (2003) and Tamstorf, Grinspun (2013); Newton
-// 1.8.0's SolverVBD has the same law. (The semi-implicit solver multiplies ke by the present length
-// of the edge instead.)
-// Not smooth: a full fold, where th jumps by a turn; lengths of 1e-6.
-// Gradient: exact in x, ke, kd, L, rest, thn away from these.
+// Source: the closed form of Bridson, Marino, Fedkiw (2003) and Tamstorf, Grinspun (2013).
+// SolverVBD of Newton 1.8.0 has the same law. (The semi-implicit solver multiplies ke by the
+// current length of the edge instead.)
+// Not smooth: a full fold, where th jumps by one turn; lengths of 1e-6.
+// Gradient: exact in x, ke, kd, L, rest and thn, except where the law is not smooth.
 #pragma once
 
 #include "novaphy/math/hinge.h"
@@ -27,7 +32,7 @@
 
 namespace novaphy::vbd {
 
-// The numbers are ke L, kd/h L, rest; thn.
+// The numbers of a slot: the coefficients ke L, kd/h L and rest, and the start value thn.
 struct Hinge : ElementOf<4> {
   static constexpr int kLawFloats = 3, kStartFloats = 1, kDampingParameter = 1;
   static constexpr int kSlots = 2;  // HingeOpposite and HingeEnd
@@ -38,7 +43,7 @@ struct Hinge : ElementOf<4> {
   static int slot_of(const M&, int32_t, int corner) {
     return corner / 2;
   }
-  // Odd corners read the edge from its other side.
+  // The corners 1 and 3 read the edge from the other side than the corners 0 and 2.
   static constexpr int other_corner(int corner, int k) {
     return (k < (corner & 2) ? k : k + 1) ^ (corner & 1);
   }
@@ -48,8 +53,8 @@ struct Hinge : ElementOf<4> {
     const S pi = S(0x1.921fb6p+1f), turn = S(0x1.921fb6p+2f);
     return select(angle > pi, angle - turn, select(angle < -pi, angle + turn, angle));
   }
-  // dth/dx of an opposite vertex, whose triangle has the unit normal n of length N, and of the end
-  // x2 of the edge.
+  // Return dth/dx: for an opposite vertex whose triangle has the unit normal n (length N before
+  // normalization), and for the end x2 of the edge.
   template <class S>
   static Vec3<S> turning_of_opposite(const Vec3<S>& n, const S& n_length, const math::Hinge<S>& h) {
     return n * (-(h.e_length / n_length));
@@ -68,8 +73,8 @@ struct Hinge : ElementOf<4> {
   }
 };
 
-// The law of both slots. `Slot` says which vertices its inputs are, and which dth/dx belongs to its
-// own vertex.
+// The law for both types of slots. `Slot` maps the inputs to the vertices 0 to 3, and returns
+// dth/dx of its own vertex.
 template <class Slot>
 struct HingeSlot : Hinge {
   template <class V>
@@ -107,14 +112,15 @@ struct HingeSlot : Hinge {
     const S energy = S(0.5f) * ((in.numbers[0] * bent) * bent + (in.numbers[1] * moved) * moved);
     return select(is_defined_by(h), energy, S(0.0f));
   }
-  // The function of d that sums H_0k d_k, with the H of block() for all corners.
+  // A function of displacements d that sums H_0k d_k. H_0k is the stiffness between the own corner
+  // and the k-th other corner.
   template <class V, class S>
   struct Stiffness {
     ByVertex<V> turning;  // dth/dx
-    V own;                // of the own corner, times the coefficients
+    V own;                // dth/dx of the own corner, times the stiffness
     V operator()(const V* d) const {
       const ByVertex<V> by = Slot::by_vertex(d);
-      // The sum of all dth/dx is 0, because a translation keeps the angle.
+      // The sum of dth/dx over the vertices is 0, because a translation keeps the angle.
       return own * ((math::dot(turning.x0, by.x0 - by.x3) + math::dot(turning.x1, by.x1 - by.x3)) +
                     math::dot(turning.x2, by.x2 - by.x3));
     }
@@ -141,7 +147,7 @@ struct HingeSlot : Hinge {
     put(0, Slot::hinge(in).angle);
   }
 };
-// The opposite vertex x0.
+// The slot of an opposite vertex, which is x0 of the law.
 struct HingeOpposite : HingeSlot<HingeOpposite> {
   template <class V>
   static ByVertex<V> by_vertex(const V* d) {
@@ -164,7 +170,7 @@ struct HingeOpposite : HingeSlot<HingeOpposite> {
     return turning_of_end(h, in.own, in.others[0], in.others[2]);
   }
 };
-// The end x2 of the edge.
+// The slot of an end of the edge, which is x2 of the law.
 struct HingeEnd : HingeSlot<HingeEnd> {
   static constexpr int kSlot = 1;
   template <class V>

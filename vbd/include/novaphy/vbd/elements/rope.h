@@ -1,7 +1,7 @@
-// A rope in VBD: a spring that pulls and never pushes, seen from its end x with the other end at
-// x1.
+// A rope in VBD: a spring that pulls and never pushes. The law is stated for the end x of the rope,
+// and the other end is x1.
 //
-// Law, with d, l, u, ke, kd, h, rest and ln of spring.h:
+// Law, with d, l, u, ke, kd, h, rest and ln of spring.h, and the tension T (N):
 //   T = max(0, ke (l - rest) + kd/h (l - max(ln, rest)))
 //   E = T^2 / (2 (ke + kd/h)),  f = -u T
 //   H = (ke + kd/h) u u^T + T/l (I - u u^T) where T > 0, else 0
@@ -10,7 +10,7 @@
 //
 // Source: the no-compression adjoint of structural analysis, with a Kelvin-Voigt damper that never
 // pushes.
-// Kinks: at T = 0 the derivatives are those of the slack rope, 0. At ln = rest with kd > 0 the
+// Kinks: at T = 0 the derivatives are 0, as for the slack rope. At ln = rest with kd > 0 the
 // derivatives are those of ln > rest.
 // Gradient: exact in x, ke, kd, rest, ln away from the kinks.
 #pragma once
@@ -19,11 +19,12 @@
 
 namespace novaphy::vbd {
 
-// The numbers are those of a spring.
+// The numbers of a slot are the numbers of a spring.
 struct Rope : Spring {
   static constexpr int kSlot = 1;
 
-  // Returns the tension of the law (N) before the max: at most 0 where the rope is slack.
+  // Returns the tension (N) before it is clamped at 0. The value is at most 0 where the rope is
+  // slack.
   template <class In, class S>
   static S pull(const In& in, const S& l) {
     using math::max;

@@ -1,17 +1,19 @@
-// A spring in VBD, seen from its end x with the other end at x1.
+// A spring with a damper in VBD. The law is stated for the end x of the spring, and the other end
+// is x1.
 //
-// Law, with d = x - x1, l = max(|d|, 1e-8), u = d/l, the length ln at the start of the step h:
+// Law, with d = x - x1, l = max(|d|, 1e-8) and u = d/l. The step size is h, and ln is the length l
+// at the start of the step:
 //   E = ke/2 (l - rest)^2 + kd/(2h) (l - ln)^2
 //   f = -u (ke (l - rest) + kd/h (l - ln))
 //   H = (ke + kd/h) u u^T + ke max(0, 1 - rest/l) (I - u u^T)
 // H is the second derivative of E where l >= rest. In a compressed spring the second derivative
-// also has the negative part ke (1 - rest/l) across the spring. H leaves this part out; project =
-// false keeps it.
+// also has the negative part ke (1 - rest/l) across the spring. H leaves this part out. The
+// template parameter project = false keeps the negative part.
 // Symbols: x (m), ke (N/m), kd_by_h = kd/h (N/m), rest and ln (m).
 //
 // Source: Chen et al. (2024); Newton 1.8.0's SolverVBD has the same forces, and H without the max.
 // Not smooth: l = rest in H; |d| < 1e-8, where u is d/1e-8.
-// Gradient: exact in x, ke, kd, rest, ln away from these.
+// Gradient: exact in x, ke, kd, rest and ln, except where the law is not smooth.
 #pragma once
 
 #include "novaphy/vbd/elements/element.h"
@@ -23,7 +25,7 @@
 
 namespace novaphy::vbd {
 
-// The numbers are ke, kd/h, rest; ln.
+// The numbers of a slot: the coefficients ke, kd/h and rest, and the start value ln.
 struct Spring : ElementOf<2> {
   static constexpr int kLawFloats = 3, kStartFloats = 1, kDampingParameter = 1;
   static constexpr int kSlots = 2;  // Spring, and Rope (rope.h)

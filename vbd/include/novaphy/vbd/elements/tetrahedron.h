@@ -1,26 +1,29 @@
-// A tetrahedron in VBD: stable Neo-Hookean elasticity, seen from its corner x with the others at
-// x1, x2, x3.
+// A tetrahedron in VBD: stable Neo-Hookean elasticity. The law is stated for the corner x, and the
+// other corners are x1, x2, x3.
 //
-// Law. Column c of the deformation gradient is f_c = sum_m (x_m - x) w_m,c, where w_m is the row of
-// the inverse rest matrix that belongs to corner m. The corner itself has the weights m = -(w1 + w2
-// + w3). With J = det F, its cofactors cof F, ln = lam + mu, alpha = 1 + mu/max(ln, 1e-6) - act, C
-// = F^T F and its value Cn at the start of the step h:
+// Law. Column c of the deformation gradient F is f_c = sum_k (x_k - x) w_k,c, where w_k is the row
+// of the inverse rest matrix that belongs to corner k. The corner x has the weights m = -(w1 + w2 +
+// w3). J is det F, cof F are the cofactors of F, and ln = lam + mu. The rest value of J is alpha =
+// 1 + mu/max(ln, 1e-6) - act. C = F^T F has the value Cn at the start of the step, and h is the
+// step size:
 //   E = V [ mu/2 (tr C - 3) + ln/2 (J - alpha)^2 ] + V kd/(2h) sum_pq (C_pq - Cn_pq)^2
 //   f = -V [ mu F m + ln (J - alpha) cof F m ] - damping
-//   H = V [ mu |m|^2 I + ln (cof F m)(cof F m)^T ] + damping's
-// The stiffness between the corners k and l, with d.([v] e) = v.(d x e) and s = ln (J - alpha):
-//   H_kl = V [ mu m_k.m_l I + ln (cof F m_k)(cof F m_l)^T + s' [F (m_k x m_l)] ] + damping's
-// s' is s within bounds that keep H positive semidefinite: at least -min(mu/S, ln max(J, 0)), at
-// most mu/(2 S), with the largest stretch S of F. The code bounds S^2 by the largest row sum of
-// |C|.
-// H is the exact second derivative of the elastic E, because J is linear in one corner. H is
-// positive definite for every shape, also for inverted ones. The damping has its Gauss-Newton part.
+//   H = V [ mu |m|^2 I + ln (cof F m)(cof F m)^T ] + damping's H
+// The stiffness between the corners k and l has s = ln (J - alpha). The matrix [v] is defined by
+// d.([v] e) = v.(d x e), and m_k are the weights of corner k:
+//   H_kl = V [ mu m_k.m_l I + ln (cof F m_k)(cof F m_l)^T + s' [F (m_k x m_l)] ] + damping's H_kl
+// s' is s, clamped so that H stays positive semidefinite: at least -min(mu/S, ln max(J, 0)), at
+// most mu/(2 S). S is the largest stretch (singular value) of F. The code bounds S^2 by the largest
+// row sum of |C|.
+// H is the exact second derivative of the elastic E, because J is linear in the position of one
+// corner. H is positive definite for every shape, also for an inverted one. For the damping H has
+// the Gauss-Newton part.
 //
-// Symbols: x (m), w (1/m), V = volume at rest (m^3), mu, lam (Pa), kd (Pa*s), act (1): activation,
-// added to the relative volume.
+// Symbols: x (m), w (1/m), V = rest volume (m^3), mu, lam (Pa), kd (Pa*s). act (1) is the
+// activation, which is subtracted from alpha.
 //
-// Source: Smith, de Goes, Kim (2018) without the logarithm, as Newton 1.8.0's SolverVBD has it
-// (without activation).
+// Source: Smith, de Goes, Kim (2018) without the logarithm, as in SolverVBD of Newton 1.8.0, which
+// has no activation.
 // Smooth everywhere. Gradient: exact in x, w, V, mu, lam, kd, act, Cn.
 #pragma once
 
@@ -34,7 +37,8 @@
 
 namespace novaphy::vbd {
 
-// The numbers are w1, w2, w3; V mu, V ln, alpha, V kd/h; Cn00, Cn11, Cn22, Cn01, Cn02, Cn12.
+// The numbers of a slot: the weights w1, w2, w3; the coefficients V mu, V ln, alpha, V kd/h; the
+// start values Cn00, Cn11, Cn22, Cn01, Cn02, Cn12.
 struct Tetrahedron : ElementOf<4> {
   static constexpr int kWeights = 9, kLawFloats = 4, kStartFloats = 6;
   static constexpr int kDampingParameter = 11, kActivated = 11;
@@ -48,7 +52,8 @@ struct Tetrahedron : ElementOf<4> {
   struct Columns {
     Vec3<S> f[3];
   };
-  // Returns the columns of F for points x, or their changes for changes of the points.
+  // Returns the columns of F from the positions of the corners, or the change of F from their
+  // displacements.
   template <class S, class Numbers>
   static Columns<S> columns_of(const Vec3<S>& own, const Vec3<S>* others, const Numbers& n) {
     const Vec3<S> e1 = others[0] - own, e2 = others[1] - own, e3 = others[2] - own;
@@ -59,7 +64,7 @@ struct Tetrahedron : ElementOf<4> {
   static auto columns(const In& in) {
     return columns_of(in.own, in.others, in.numbers);
   }
-  // The components of C, in the order of the numbers Cn.
+  // The components of C, in the order of the start values Cn.
   template <class S>
   struct Strain {
     S c[6];
@@ -72,7 +77,7 @@ struct Tetrahedron : ElementOf<4> {
              dot(f[1], f[2])}};
   }
 
-  // With `damped` false the terms of kd are left out. The caller then knows that kd is 0.
+  // If `damped` is false, the damping terms are left out. The caller guarantees that kd is 0.
   template <template <class> class B = Block, class In>
   static auto block(const In& in, bool damped) {
     using namespace math;
@@ -105,7 +110,7 @@ struct Tetrahedron : ElementOf<4> {
     }
     return block;
   }
-  // Returns s', which is s within its bounds.
+  // Returns s', which is s clamped to its bounds.
   template <class S>
   static S bounded(const S& s, const S& mu, const S& ln, const S& j, const Strain<S>& strain) {
     using namespace math;
@@ -116,7 +121,7 @@ struct Tetrahedron : ElementOf<4> {
     const S most = mu / sqrt(max(squared, S(1e-12f)));
     return max(min(s, S(0.5f) * most), -min(most, ln * max(j, S(0.0f))));
   }
-  // Returns the function of d that sums H_0k d_k.
+  // Returns a function of displacements d that sums H_0k d_k over the corners k.
   template <class In>
   static auto stiffness(const In& in, bool damped) {
     using namespace math;

@@ -1,30 +1,33 @@
-// A triangle in VBD: a stable Neo-Hookean membrane, seen from its corner x with the others at x1,
-// x2.
+// A triangle in VBD: a stable Neo-Hookean membrane. The law is stated for the corner x, and the
+// other corners are x1, x2.
 //
-// Law. Column c of the deformation gradient is f_c = (x1-x) w1_c + (x2-x) w2_c, c = 0, 1. The row
-// of the inverse rest matrix that belongs to corner m is w_m, and the corner itself has the weights
-// (a, b) = -(w1 + w2). Let J = sqrt(max(|f0 x f1|^2, 1e-20)), the normal n = (f0 x f1)/J, ln = lam
-// + mu and alpha = 1 + mu/max(ln, 1e-6) - act. The right Cauchy-Green tensor is C = (f_p . f_q),
-// with the value Cn at the start of the step h:
+// Law. Column c of the deformation gradient F is f_c = (x1-x) w1_c + (x2-x) w2_c, c = 0, 1. w_m is
+// the row of the inverse rest matrix that belongs to corner m. The corner x has the weights (a, b)
+// = -(w1 + w2). J = sqrt(max(|f0 x f1|^2, 1e-20)) is the area ratio, and n = (f0 x f1)/J the
+// normal. With ln = lam + mu the rest value of J is alpha = 1 + mu/max(ln, 1e-6) - act.
+//
+// C = (f_p . f_q) is the right Cauchy-Green tensor, and Cn its value at the start of the step. The
+// step size is h:
 //   E = A [ mu/2 (|f0|^2 + |f1|^2 - 2) + ln/2 (J - alpha)^2 ]
 //       + A kd/(2h) [ (C00 - Cn00)^2 + 2 (C01 - Cn01)^2 + (C11 - Cn11)^2 ]
 //   s = ln (J - alpha), g0 = f1 x n, g1 = n x f0, P_c = mu f_c + s g_c
 //   f = -A (P0 a + P1 b) - damping
-//   H = A [ (mu (a^2 + b^2) + r w.w) I + (ln - r) dJ dJ^T - r w w^T ] + damping's
+//   H = A [ (mu (a^2 + b^2) + r w.w) I + (ln - r) dJ dJ^T - r w w^T ] + damping's H
 //   dJ = g0 a + g1 b, w = f1 a - f0 b, r = max(0, s)/J
 // H is the second derivative of the elastic E where s >= 0, and positive semidefinite everywhere.
-// The damping has its Gauss-Newton part. A rotation is not damped.
-// The stiffness between the corners k and l, with d.([v] e) = v.(d x e) and w_k = f1 a_k - f0 b_k:
+// For the damping H has the Gauss-Newton part. Rotations are not damped.
+// The stiffness between the corners k and l has w_k = f1 a_k - f0 b_k. The matrix [v] is defined by
+// d.([v] e) = v.(d x e):
 //   H_kl = A [ mu (a_k a_l + b_k b_l) I + ln dJ_k dJ_l^T + max(s/J, -mu/S^2) (w_k.w_l) n n^T
-//              + clamp(s, -mu, mu) (a_k b_l - a_l b_k) [n] ] + damping's
-// S is the larger stretch of F. At the bounds an eigenvalue is 0.
-// Symbols: x (m), w (1/m), A = area at rest (m^2), mu, lam (N/m: ke and ka of
-// particle_tri_material), kd (N*s/m), act (1): activation, added to the relative area.
+//              + clamp(s, -mu, mu) (a_k b_l - a_l b_k) [n] ] + damping's H_kl
+// S is the larger stretch (singular value) of F. At the bounds of max and clamp an eigenvalue is 0.
+// Symbols: x (m), w (1/m), A = rest area (m^2), mu, lam (N/m: ke and ka of
+// particle_tri_material), kd (N*s/m). act (1) is the activation, which is subtracted from alpha.
 //
-// Source: Smith, de Goes, Kim (2018) in two dimensions, as Newton 1.8.0's SolverVBD has it (without
-// activation).
+// Source: Smith, de Goes, Kim (2018) in two dimensions, as in SolverVBD of Newton 1.8.0, which has
+// no activation.
 // Not smooth: s = 0 in H; |f0 x f1| < 1e-10.
-// Gradient: exact in x, w, A, mu, lam, kd, act, Cn away from these.
+// Gradient: exact in x, w, A, mu, lam, kd, act and Cn, except where the law is not smooth.
 #pragma once
 
 #include "novaphy/vbd/elements/element.h"
@@ -37,7 +40,8 @@
 
 namespace novaphy::vbd {
 
-// The numbers are w1, w2; A mu, A ln, alpha, A kd/h; Cn00, Cn01, Cn11.
+// The numbers of a slot: the weights w1, w2; the coefficients A mu, A ln, alpha, A kd/h; the start
+// values Cn00, Cn01, Cn11.
 struct Triangle : ElementOf<3> {
   static constexpr int kWeights = 4, kLawFloats = 4, kStartFloats = 3;
   static constexpr int kDampingParameter = 7, kActivated = 6;
@@ -70,14 +74,14 @@ struct Triangle : ElementOf<3> {
   static Strain<S> strain(const Columns<S>& f) {
     return {math::dot(f.f0, f.f0), math::dot(f.f0, f.f1), math::dot(f.f1, f.f1)};
   }
-  // Returns J from the vector f0 x f1.
+  // Returns the area ratio J from the vector f0 x f1.
   template <class S>
   static S area_ratio(const Vec3<S>& normal) {
     using math::max, math::sqrt;
     return sqrt(max(math::dot(normal, normal), S(1e-20f)));
   }
 
-  // Returns the stiffness across the membrane, divided by (w_k.w_l): s/J within its bound.
+  // Returns the stiffness normal to the membrane, divided by (w_k.w_l): max(s/J, -mu/S^2).
   template <class S>
   static S across(const Columns<S>& f, const S& s_by_j, const S& mu) {
     using math::max, math::sqrt;
@@ -87,8 +91,8 @@ struct Triangle : ElementOf<3> {
     return max(s_by_j, -(mu / max(largest, S(1e-20f))));
   }
 
-  // With `damped` false the terms of kd are left out. The caller then knows that kd is 0. With
-  // `turns` H is H_00, with r = max(s/J, -mu/S^2).
+  // If `damped` is false, the damping terms are left out. The caller guarantees that kd is 0. If
+  // `turns` is true, H is the stiffness H_00 of stiffness(), with r = max(s/J, -mu/S^2).
   template <template <class> class B = Block, class In>
   static auto block(const In& in, bool damped, bool turns = false) {
     using namespace math;
@@ -123,7 +127,7 @@ struct Triangle : ElementOf<3> {
     add_outer(block, k, e11);
     return block;
   }
-  // Returns the function of d that sums H_0k d_k.
+  // Returns a function of displacements d that sums H_0k d_k over the corners k.
   template <class In>
   static auto stiffness(const In& in, bool damped) {
     using namespace math;
@@ -167,7 +171,7 @@ struct Triangle : ElementOf<3> {
   template <class In, class Put>
   static void put_start(const In& in, const Put& put) {
     using S = typename In::Scalar;
-    // first, because derivatives follow the order of the operations
+    // Computed before the strain, because derivatives follow the order of the operations.
     const Vec3<S> f1 = column(in, 1);
     const auto [c00, c01, c11] = strain(Columns<S>{column(in, 0), f1});
     put(0, c00);

@@ -1,9 +1,11 @@
-// The broad phases: pairs of shapes that may touch (core/sim/shape_pair_rules.h) and whose bounding
-// boxes overlap. All three functions return the same pairs (i < j), sorted by (i, j), each once.
-// Touching boxes overlap. A box with a NaN overlaps nothing.
+// The broad phases: they find pairs of shapes that may touch (core/sim/shape_pair_rules.h) and
+// whose bounding boxes overlap. All three functions return the same pairs (i < j), sorted by (i,
+// j), without duplicates. Boxes that only touch count as overlapping. A box with a NaN overlaps no
+// box.
 //
-// A function first counts the pairs and then writes them, so no list grows. ErrorKind::Value: more
-// than `limit` pairs (the message has their number), or rules without one row per box.
+// Each function first counts the pairs and then writes them, so that the result is allocated once.
+// ErrorKind::Value: more than `limit` pairs (the message has their number), or rules without one
+// row for each box.
 #pragma once
 
 #include <cstdint>
@@ -19,7 +21,8 @@ namespace novaphy {
 
 inline constexpr int64_t kNoPairLimit = std::numeric_limits<int32_t>::max();
 
-// Filters a list of candidates, each (i < j), sorted, which the rules have already accepted.
+// Returns the candidates whose boxes overlap. The candidates (i < j) are sorted and accepted by the
+// rules.
 NOVAPHY_COLLISION_API std::vector<Vec2i> explicit_box_pairs(std::span<const geometry::Box3> boxes,
                                                             std::span<const Vec2i> candidates,
                                                             int64_t limit = kNoPairLimit);
@@ -29,13 +32,13 @@ NOVAPHY_COLLISION_API std::vector<Vec2i> nxn_box_pairs(std::span<const geometry:
                                                        const ShapePairRules& rules,
                                                        int64_t limit = kNoPairLimit);
 
-// Sweep and prune. Shapes are sorted by the lower end of their boxes along the axis on which the
-// centers vary most, with ties by index. Each shape is tested against the shapes that begin before
-// it ends, world by world. Shapes of all worlds (-1) take part in every world. The time is n log n
-// for n shapes, plus the number of pairs that overlap on the axis.
+// Sweep and prune. The shapes are sorted by the lower end of their boxes along the axis on which
+// the centers vary most. Ties are broken by index. Each shape is tested against the shapes that
+// begin before it ends, world by world. Shapes of all worlds (-1) take part in every world. For n
+// shapes the time is n log n, plus the number of pairs that overlap on the axis.
 //
-// The object keeps the order of the last call as a start for the next sort, which is fast if shapes
-// move little. The kept order does not affect the result.
+// The object stores the order of the last call as a start for the next sort, which is fast if
+// shapes move little. The stored order does not affect the result.
 class NOVAPHY_COLLISION_API SweepAndPrune {
  public:
   std::vector<Vec2i> box_pairs(std::span<const geometry::Box3> boxes, const ShapePairRules& rules,

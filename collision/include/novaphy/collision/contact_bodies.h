@@ -1,5 +1,5 @@
-// Tables of the bodies that contacts act on. Bodies sum the wrenches of their contacts by these
-// tables.
+// Tables of the bodies that contacts act on. Solvers use the tables to sum the wrenches of the
+// contacts of each body.
 #pragma once
 
 #include <cstdint>
@@ -12,14 +12,14 @@
 
 namespace novaphy {
 
-// Finds the bodies of contacts, -1 for the world and for unused rows: `rigid` {rigid_contact_max,
-// 2} for shapes A and B, `soft` {soft_contact_max}. Arrays without rows are skipped. The function
-// is a launch and may be recorded.
+// Writes the bodies of contacts. `rigid` {rigid_contact_max, 2} gets the bodies of shapes A and B,
+// and `soft` {soft_contact_max} the body of the shape. The value is -1 for the world and for unused
+// rows. Arrays without rows are skipped. The function is a launch, which a capture may record.
 NOVAPHY_COLLISION_API void find_contact_bodies(const Model& model, const Contacts& contacts,
                                                const DeviceArray<int32_t>& rigid,
                                                const DeviceArray<int32_t>& soft);
 
-// Returns whether particles may touch a shape of a body. Reads the model on the host.
+// Returns whether particles may touch a shape of a body. The function reads the model on the host.
 NOVAPHY_COLLISION_API bool particles_may_meet_bodies(const Model& model);
 
 }  // namespace novaphy

@@ -1,4 +1,5 @@
-// The sources of this library's device modules, for compilation ahead of time.
+// The source code of the device kernels for collision, for tools that compile kernels ahead of
+// time.
 #pragma once
 
 #include <string>
@@ -8,8 +9,8 @@
 
 namespace novaphy {
 
-// Returns SOURCE modules of <novaphy/abi/backend.h>. The list is empty if the build has no device
-// collision.
+// Returns the modules, in the form SOURCE of <novaphy/abi/backend.h>. The list is empty if the
+// build has no collision on devices.
 NOVAPHY_COLLISION_API std::vector<std::string> collision_device_modules();
 
 }  // namespace novaphy

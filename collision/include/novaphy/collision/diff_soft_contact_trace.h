@@ -1,5 +1,5 @@
-// The contact of a particle with a shape, as formulas: the contact force, and the distance query of
-// a static shape (signed distance, normal, closest point).
+// The contact of a particle with a shape, as formulas: the contact force, and the distance from a
+// point to a static shape (signed distance, normal, closest point).
 //
 // Law (penalty spring, damper that acts only on approach, viscous friction with a Coulomb limit):
 //   c  = dot(n, x - p) - R
@@ -13,30 +13,29 @@
 //   n                unit normal, out of the shape, world frame
 //   c                gap between the two surfaces (m); < 0 is penetration
 //   ke, kd, kf, mu   N/m, N*s/m, N*s/m, 1: each the mean of the model's value and the shape's
-//   r                1/s: bounds kf by r m, where m is the particle's mass (kg), if m is not 0. A
-//                    solver uses r = particle_kf_bound / dt, so friction removes at most that part
-//                    of the slip in a step. The operators, and Newton's law, use r = kNoKfBound
-//   a                adhesion distance (m), 0 by default
-//   f                N, world frame
+//   m                mass of the particle (kg)
+//   r                bound of kf (1/s): kf is at most r m, if m is not 0. A solver uses r =
+//                    particle_kf_bound / dt, so that friction removes at most this part of the slip
+//                    in a step. Operators and Newton have no bound: r = kNoKfBound.
+//   a, f             adhesion distance (m), 0 by default; force (N), world frame
 // The margin of a shape widens the search for contacts, not the force. Source: SolverSemiImplicit
 // of Newton 1.8.0, which has no bound r. Its output on the CPU has the same bits where kf <= r m.
 //
-// Points where the law is not smooth, and the value there (the derivative makes the same choice):
+// Points where the law is not smooth, and the value there (the derivative takes the same branch):
 //   c = a    the force acts. It jumps by the damping kd*vn at touch-down.
 //   vn = 0   min takes the constant 0: damping has no gradient.
-//   |vt| = 0 (underflow included)   the force is 0. The smooth branch kf*vt gives the derivative:
-//     kf
-//            by vt if |(mu*c)*ke| > 0, else 0.
-//   kf*|vt| = |(mu*c)*ke|   the Coulomb branch; |.| has derivative +1 at 0.
-//   kf = r m the derivative by kf.
+//   |vt| = 0 (underflow included)   the force is 0. The derivative by vt is kf, that of the smooth
+//            branch kf*vt, if |(mu*c)*ke| > 0, else 0.
+//   kf*|vt| = |(mu*c)*ke|   the Coulomb branch; |.| has the derivative +1 at 0.
+//   kf = r m the branch kf, not the bound.
 //   The normal jumps on a box's faces, edges and symmetry planes (box_distance), at the center of
 //   a sphere and on the axis of a capsule (sphere_distance, capsule_distance), on edges, axis and
 //   apex of a cylinder and a cone, and on the planes of symmetry within an ellipsoid.
-// Gradient: exact in x, v_p, R, p, v_s, n, ke, kd, kf, mu, m away from these points. `a` only
-// selects a branch and has no gradient; r is a constant.
+// Gradient: exact in x, v_p, R, p, v_s, n, ke, kd, kf, mu, m away from these points. The adhesion
+// distance only selects a branch and has no gradient. r is a constant.
 //
-// Freestanding: T = float runs in the forward engine, T = nova::Real is traced. Every operator
-// rounds once, in the order written, so both give the same bits.
+// Freestanding: with T = float the code runs in the forward engine, with T = nova::Real it is
+// traced. Both round each operation once, in the same order, and give the same bits.
 #pragma once
 
 #include "novaphy/math/types.h"
@@ -57,9 +56,9 @@ SoftContactMaterial<T> mean_soft_contact_material(const SoftContactMaterial<T>& 
           half * (model.mu + shape.mu)};
 }
 
-// Stands for infinity. The value is finite, because 0 times its derivative must be 0.
+// Represents infinity. The value is finite, because 0 times its derivative must be 0.
 inline constexpr float kNoKfBound = 1e30f;
-// Returns r of the law from a bound >= 0, which may be infinite.
+// Returns r (1/s) of the law from particle_kf_bound >= 0, which may be infinite.
 inline float kf_rate(float bound, float dt) {
   const float rate = bound / dt;
   return rate < kNoKfBound ? rate : kNoKfBound;
@@ -73,8 +72,8 @@ SoftContactMaterial<T> with_bounded_kf(SoftContactMaterial<T> material, const T&
   return material;
 }
 
-// Returns the force on the particle: -f, or -0 for an inactive contact. acc + (-0) has the bits of
-// acc for every acc, so adding the terms in slot order gives Newton's sum.
+// Returns the force on the particle (N): -f, or -0 for an inactive contact. Adding -0 does not
+// change the bits of a sum, so that a sum over all slots has the bits of Newton's sum.
 template <class T>
 Vec3<T> soft_contact_force_term(const Vec3<T>& x, const Vec3<T>& v_p, const T& radius,
                                 const Vec3<T>& point, const Vec3<T>& point_velocity,
@@ -89,23 +88,23 @@ Vec3<T> soft_contact_force_term(const Vec3<T>& x, const Vec3<T>& v_p, const T& r
   const Vec3<T> fd = (normal * min(vn, T(0.0f))) * material.kd;
   const T speed = length(vt), limit = abs((material.mu * c) * material.ke);
   const Vec3<T> friction = normalize(vt) * min(material.kf * speed, limit);
-  // The unit vector and the length have no gradient at rest, so this is the whole derivative there.
+  // Without slip the unit vector and the length have no gradient. This term adds the derivative.
   const T at_rest = select(both(speed == T(0.0f), limit > T(0.0f)), material.kf, T(0.0f));
   const Vec3<T> ft = with_derivative(friction, vt, at_rest);
   const Vec3<T> f = fn + (fd + ft);
-  // The test is c > a, so that a NaN reaches the force instead of switching the contact off.
+  // The test is c > a, so that a NaN reaches the force. A test c <= a would turn the contact off.
   const T none = T(-0.0f);
   return select(c > adhesion, Vec3<T>{none, none, none}, -f);
 }
 
-// The contact point of a shape on a body.
+// The contact point of a shape that belongs to a body.
 template <class T>
 struct SoftContactBody {
   Vec3<T> position{}, velocity{};  // world frame
   Vec3<T> arm{};                   // from the center of mass to the position, world frame
 };
-// Computes the contact point from the body's pose, twist (velocity of the center of mass) and
-// center of mass (body frame), and from the point and its relative velocity in the body frame.
+// Computes the contact point from the body's pose, twist (velocity of the center of mass), and
+// center of mass (body frame). `point` and its relative velocity are in the body frame.
 template <class T>
 SoftContactBody<T> soft_contact_body(const Transform<T>& pose, const SpatialVector<T>& twist,
                                      const Vec3<T>& com, const Vec3<T>& point,
@@ -117,15 +116,15 @@ SoftContactBody<T> soft_contact_body(const Transform<T>& pose, const SpatialVect
           arm};
 }
 
-// Signed distance of a point to a surface (m, < 0 inside) and the outward normal at the closest
-// point, both in the shape's frame.
+// The signed distance of a point to a surface (m, < 0 inside), and the outward normal at the
+// closest point of the surface. Both are in the shape's frame.
 template <class T>
 struct SurfaceDistance {
   T distance{};
   Vec3<T> normal{};
 };
 
-// Sphere about the origin. Within 1e-8 of the center the normal is +z.
+// Sphere about the origin. Within 1e-8 m of the center the normal is +z.
 template <class T>
 SurfaceDistance<T> sphere_distance(const Vec3<T>& x, const T& radius) {
   using namespace math;
@@ -134,8 +133,8 @@ SurfaceDistance<T> sphere_distance(const Vec3<T>& x, const T& radius) {
   return {l - radius, select(l > T(1e-8f), x / l, up)};
 }
 
-// Capsule along z; half_height excludes the caps. Within 1e-8 of the axis the normal is +z, or -z
-// at the center of the lower cap and below.
+// Capsule along z. half_height excludes the caps. Within 1e-8 m of the axis the normal is +z, or -z
+// at and below the center of the lower cap.
 template <class T>
 SurfaceDistance<T> capsule_distance(const Vec3<T>& x, const T& radius, const T& half_height) {
   using namespace math;
@@ -149,11 +148,11 @@ SurfaceDistance<T> capsule_distance(const Vec3<T>& x, const T& radius, const T& 
   return {l - radius, select(l > T(1e-8f), v / l, axis)};
 }
 
-// Box with half extents h. Outside, the normal is the direction from the closest point. Elsewhere,
-// the normal is that of the face with the largest q = |x| - h: axis x if qx is the only maximum, y
-// if qy is, else z. The sign is that of the coordinate (+ at 0). An edge, with two q exactly 0, has
-// another rule: qy = qz = 0 gives x, qx = qz = 0 gives y, qx = qy = 0 gives z. A corner gives x.
-// On a tie of qx and qy inside, the normal z does not belong to the distance qx.
+// Box with half extents h. Outside, the normal is the direction from the closest point to x.
+// Elsewhere the normal is that of the face with the largest q = |x| - h: axis x if qx is the only
+// maximum, y if qy is, else z. Its sign is that of the coordinate (+ at 0). On an edge two q are
+// exactly 0: qy = qz = 0 gives x, qx = qz = 0 gives y, qx = qy = 0 gives z. A corner gives x. If qx
+// = qy is the maximum inside, the normal z does not belong to the distance qx.
 template <class T>
 SurfaceDistance<T> box_distance(const Vec3<T>& x, const Vec3<T>& h) {
   using namespace math;
@@ -161,7 +160,7 @@ SurfaceDistance<T> box_distance(const Vec3<T>& x, const Vec3<T>& h) {
   const Vec3<T> q = {abs(x.x) - h.x, abs(x.y) - h.y, abs(x.z) - h.z};
   const Vec3<T> e = {max(q.x, zero), max(q.y, zero), max(q.z, zero)};
   const T deepest = max(q.x, max(q.y, q.z));
-  // On a face the length and min have no gradient, so this is the whole derivative there.
+  // On a face length and min have no gradient. The third argument is the whole derivative there.
   const T distance = with_derivative(length(e) + min(deepest, zero), deepest,
                                      select(deepest == zero, T(1.0f), zero));
 
@@ -179,10 +178,9 @@ SurfaceDistance<T> box_distance(const Vec3<T>& x, const Vec3<T>& h) {
 }
 
 // Plane through the origin with the normal +z. The plane is infinite unless width and length (m,
-// along x and y) are both > 0. A finite plane is the top face of a solid block without a bottom.
-// Distance and normal are those of a box whose top is the plane and that has no lower end.
+// along x and y) are both > 0. A finite plane is the top face of a solid block without a lower end.
 // (Newton's finite plane has an unsigned distance and always the normal +z. Below and beside the
-// plane its contact point is not on the plane. Above the plane both have the same bits.)
+// plane Newton's contact point is not on the plane. Above, both have the same bits.)
 template <class T>
 SurfaceDistance<T> plane_distance(const Vec3<T>& x, const T& width, const T& length_y) {
   using namespace math;
@@ -196,7 +194,8 @@ SurfaceDistance<T> plane_distance(const Vec3<T>& x, const T& width, const T& len
   // Beside the block: the closest point is on a wall or on the rim.
   const Vec3<T> closest = {min(max(-hx, x.x), hx), min(max(-hy, x.y), hy), min(x.z, zero)};
   const Vec3<T> away = x - closest;
-  // Inside of the block a wall may be closer than the top. On a tie the top is chosen.
+  // Inside of the block a wall may be closer than the top. If both are equally close, the top
+  // counts.
   const auto under = both(finite, qz < zero);
   const auto wall_x = both(under, both(qx > qy, qx > qz));
   const auto wall_y = both(under, both(negate(qx > qy), qy > qz));
@@ -208,8 +207,8 @@ SurfaceDistance<T> plane_distance(const Vec3<T>& x, const T& width, const T& len
   return {select(beside, length(away), inside), select(beside, normalize(away), inside_normal)};
 }
 
-// Maps a direction (along, up) in the meridian half plane of a solid of revolution about z back to
-// space. On the axis the half plane points to +x.
+// Converts a direction (along, up) in the meridian half plane of a solid of revolution about z to a
+// direction in space. On the axis the half plane points to +x.
 template <class T>
 Vec3<T> meridian_direction(const Vec3<T>& x, const T& along, const T& up) {
   using namespace math;
@@ -220,8 +219,8 @@ Vec3<T> meridian_direction(const Vec3<T>& x, const T& along, const T& up) {
           up};
 }
 
-// Cylinder along z. Inside, the nearer of side and cap is chosen, and the cap on a tie. On the axis
-// the side points to +x.
+// Cylinder along z. Inside, the nearer of side and cap counts, or the cap if both are equally near.
+// On the axis the direction to the side is +x.
 template <class T>
 SurfaceDistance<T> cylinder_distance(const Vec3<T>& x, const T& radius, const T& half_height) {
   using namespace math;
@@ -239,8 +238,8 @@ SurfaceDistance<T> cylinder_distance(const Vec3<T>& x, const T& radius, const T&
 }
 
 // Cone along z with the base (radius) at -half_height and the apex at +half_height. Inside, the
-// nearer of side and base is chosen, and the base on a tie. On the axis the side points to +x. At
-// the apex the normal is -x, on the rim -z.
+// nearer of side and base counts, or the base if both are equally near. On the axis the direction
+// to the side is +x. At the apex the normal is -x, on the rim -z.
 template <class T>
 SurfaceDistance<T> cone_distance(const Vec3<T>& x, const T& radius, const T& half_height) {
   using namespace math;
@@ -254,7 +253,7 @@ SurfaceDistance<T> cone_distance(const Vec3<T>& x, const T& radius, const T& hal
   const Vec3<T> down = {zero, zero, T(-1.0f)};
   const SurfaceDistance<T> side = {across, meridian_direction(x, height / slant, radius / slant)};
   const SurfaceDistance<T> base = {-z, down};
-  // Outside: the distance to the apex as a point, and to the rim or the base.
+  // Outside: the distance to the apex as a point, and the distance to the rim or the base.
   const Vec3<T> d = {x.x, x.y, x.z - half_height};
   const T square = (d.x * d.x + d.y * d.y) + d.z * d.z;
   const auto off_apex = square > zero;
@@ -280,11 +279,11 @@ SurfaceDistance<T> cone_distance(const Vec3<T>& x, const T& radius, const T& hal
 }
 
 // Ellipsoid with half axes h. The nearest point is y_i = h_i^2 x_i / (t + h_i^2), where t solves
-// sum (h_i x_i / (t + h_i^2))^2 = 1. Newton's method runs on the root of the sum, from below (J. J.
-// More, D. C. Sorensen, Computing a Trust Region Step, 1983). Coordinates below 1e-6 of their half
-// axis are raised to that value, which selects a nearest point on the planes of symmetry too. In
-// such places the derivative is that of the smooth function, and 0 by a coordinate in which the
-// nearest point jumps.
+// sum (h_i x_i / (t + h_i^2))^2 = 1. Newton's method runs on the square root of the sum, from below
+// (J. J. More, D. C. Sorensen, Computing a Trust Region Step, 1983). Coordinates |x_i| below 1e-6
+// h_i are raised to this value, which selects one nearest point on the planes of symmetry. There
+// the derivative is that of the smooth function, or 0 in a coordinate in which the nearest point
+// jumps.
 template <class T>
 SurfaceDistance<T> ellipsoid_distance(const Vec3<T>& x, const Vec3<T>& h) {
   using namespace math;
@@ -297,7 +296,7 @@ SurfaceDistance<T> ellipsoid_distance(const Vec3<T>& x, const Vec3<T>& h) {
     excess[i] = (hs[i] - shortest) * (hs[i] + shortest);
     u[i] = hs[i] * at[i];
   }
-  // One Newton step on s = t + shortest^2, which avoids the cancellation in t.
+  // Returns s after a Newton step. s = t + shortest^2 avoids the cancellation in t.
   const auto improve = [&](const T& s, const T(&v)[3]) {
     T sum = T(0.0f), slope = T(0.0f);
     for (int i = 0; i < 3; ++i) {
@@ -312,7 +311,7 @@ SurfaceDistance<T> ellipsoid_distance(const Vec3<T>& x, const Vec3<T>& h) {
   T s = max(fixed[0] - detach(excess[0]),
             max(fixed[1] - detach(excess[1]), fixed[2] - detach(excess[2])));
   for (int k = 0; k < kIterations; ++k) s = detach(improve(s, fixed));
-  // Where a raised coordinate is used, the distance is smooth in it unless t + h_i^2 vanishes.
+  // The distance is smooth in a raised coordinate unless t + h_i^2 vanishes.
   for (int i = 0; i < 3; ++i) {
     const auto limited = abs(xs[i]) < T(1e-6f) * hs[i];
     const auto smooth = s + detach(excess[i]) > T(1e-3f) * (hs[i] * hs[i]);
@@ -332,14 +331,14 @@ SurfaceDistance<T> ellipsoid_distance(const Vec3<T>& x, const Vec3<T>& h) {
   return {dot(normal, x - Vec3<T>{y[0], y[1], y[2]}), normal};
 }
 
-// The type of a static shape as flags: bool, or nova::Bool in a trace. No flag means a plane.
+// The type of a static shape as flags: bool, or nova::Bool in a trace. A plane has no flag set.
 template <class B>
 struct StaticShapeType {
   B is_box{}, is_sphere{}, is_capsule{}, is_cylinder{}, is_cone{}, is_ellipsoid{};
 };
 
-// Signed distance and normal in the frame of a shape of any supported type; `scale` is described at
-// GeoType. `Round`: includes cylinders, cones and ellipsoids.
+// Returns signed distance and normal in the frame of a shape of any supported type. GeoType
+// describes `scale`. `Round` includes cylinders, cones and ellipsoids.
 template <bool Round, class B, class T>
 SurfaceDistance<T> static_shape_distance(const StaticShapeType<B>& type, const Vec3<T>& scale,
                                          const Vec3<T>& x) {
@@ -358,8 +357,8 @@ SurfaceDistance<T> static_shape_distance(const StaticShapeType<B>& type, const V
   if constexpr (!Round) {
     return flat;
   } else {
-    // For other types the sizes are 1, to avoid a division by 0: the unused branch must have a
-    // finite gradient, because it is multiplied by 0.
+    // For other types the sizes are 1, which avoids a division by 0. The gradient of the unused
+    // branch is multiplied by 0, and must therefore be finite.
     const T one = T(1.0f);
     const auto solid = either(type.is_cylinder, type.is_cone);
     const T radius = select(solid, scale.x, one), height = select(solid, scale.y, one);
@@ -376,7 +375,7 @@ SurfaceDistance<T> static_shape_distance(const StaticShapeType<B>& type, const V
   }
 }
 
-// A contact of a world-owned shape, world frame, as the force law needs it.
+// The contact of a particle with a world-owned shape, in the world frame.
 template <class T>
 struct StaticContact {
   T distance{};      // m, from the particle's center to the surface
@@ -384,18 +383,18 @@ struct StaticContact {
   Vec3<T> normal{};  // unit, out of the shape
 };
 
-// Returns the pose of a world-owned shape as the search uses it. Newton multiplies the pose by the
-// identity pose of the world, which turns -0 components into +0.
+// Returns the pose of a world-owned shape with the bits of Newton. Newton multiplies the pose by
+// the identity pose of the world, which turns -0 components into +0.
 template <class T>
 Transform<T> static_shape_pose(const Transform<T>& xform) {
   return math::multiply(Transform<T>::identity(), xform);
 }
-// Returns the particle's position in the shape's frame; `pose` is from static_shape_pose.
+// Returns the particle's position in the shape's frame. `pose` is the result of static_shape_pose.
 template <class T>
 Vec3<T> to_shape_frame(const Transform<T>& pose, const Vec3<T>& x) {
   return math::transform_point(math::inverse(pose), x);
 }
-// Makes a contact from a distance and a normal in the shape's frame.
+// Returns a contact from a distance and a normal in the shape's frame.
 template <class T>
 StaticContact<T> static_contact_record(const Transform<T>& xform, const Transform<T>& pose,
                                        const Vec3<T>& x_local, const SurfaceDistance<T>& surface) {
@@ -404,8 +403,8 @@ StaticContact<T> static_contact_record(const Transform<T>& xform, const Transfor
           rotate(pose.q, surface.normal)};
 }
 
-// Makes the contact of a particle at `x` (world) with a world-owned shape at `xform`. The contact
-// exists if distance < (gap + margin) + radius.
+// Returns the contact of a particle at `x` (world frame) with a world-owned shape at `xform`. The
+// contact acts if distance < (gap + margin) + radius.
 template <bool Round, class B, class T>
 StaticContact<T> static_shape_contact(const StaticShapeType<B>& type, const Transform<T>& xform,
                                       const Vec3<T>& scale, const Vec3<T>& x) {

@@ -10,10 +10,10 @@ namespace novaphy {
 enum class NarrowPhase {
   Auto,  // collision/geometry/ for all pairs
   // Overlapping convex hulls get depth and normal from FCL's libccd solver in double precision, on
-  // the CPU and outside of captures. Needs a build with NOVAPHY_WITH_FCL. Rejected results: a
-  // normal without unit length, a depth that is not that along the normal, or a difference to Auto
-  // of more than 1e-4 of the size of the pair. (libccd's MPR is wrong in about a sixth of all
-  // poses.) A pair with a rejected result has Auto's rows.
+  // the CPU and outside of captures. Needs a build with NOVAPHY_WITH_FCL. A result is rejected if
+  // the normal is not a unit vector or the depth is not the depth along the normal. A result is
+  // also rejected if it differs from Auto by more than 1e-4 of the size of the pair. A pair with a
+  // rejected result has the rows of Auto. (libccd's MPR is wrong in about a sixth of all poses.)
   Fcl,
 };
 

@@ -1,5 +1,5 @@
-// Finds shapes of one mechanism that overlap at the initial pose of its bodies. Their contacts
-// would push forever.
+// Finds shapes of one mechanism that overlap in the initial pose of its bodies. The contacts of
+// these shapes would push all the time.
 #pragma once
 
 #include <cstdint>
@@ -16,13 +16,13 @@ namespace novaphy {
 
 struct ShapeOverlap {
   int32_t shape0, shape1;  // shape0 < shape1
-  float depth;             // m, of the deepest row of the pair
+  float depth;             // m, largest overlap of the rows of the pair
 };
 
-// Returns the overlapping pairs in rigid contacts, on the CPU, deepest first. The bodies of a pair
-// are connected by joints, directly or through other bodies, and have the relative pose of
-// Model::body_q. Their surfaces overlap by more than a hundredth of the smaller shape's collision
-// radius.
+// Returns the overlapping pairs in the rigid contacts of a state on the CPU, deepest first. A pair
+// is listed if its bodies are connected by joints, directly or through other bodies, and have the
+// relative pose of Model::body_q. The overlap must also exceed a hundredth of the smaller shape's
+// collision radius.
 NOVAPHY_COLLISION_API std::vector<ShapeOverlap> find_overlaps(const Model& model,
                                                               const SimState& state,
                                                               const Contacts& contacts);
@@ -30,8 +30,8 @@ NOVAPHY_COLLISION_API std::vector<ShapeOverlap> find_overlaps(const Model& model
 NOVAPHY_COLLISION_API std::vector<ShapeOverlap> find_overlaps(std::shared_ptr<const Model> model);
 
 // Returns a text such as "2 pairs of shapes overlap at the start: "a" and "b" by 0.012 m, ...". The
-// text lists the first five pairs by the labels of their shapes, counts equal pairs of several
-// worlds once, and gives the number of the others.
+// text lists the first five pairs by the labels of their shapes, and the number of the remaining
+// pairs. Equal pairs of several worlds count once.
 NOVAPHY_COLLISION_API std::string overlap_text(const Model& model,
                                                std::span<const ShapeOverlap> overlaps);
 

@@ -1,8 +1,8 @@
 // Finds pairs of features that come near each other on moving surfaces: a vertex and a triangle, or
 // two edges. A surface is a set of triangles whose corners are particles.
 //
-// Features with a common particle, and features of two worlds, are no pair. Particles of world -1
-// belong to all worlds.
+// Two features with a common particle, or of two different worlds, are not a pair. Particles of
+// world -1 belong to all worlds.
 #pragma once
 
 #include <array>
@@ -23,33 +23,34 @@ struct SurfacePair {
   std::array<int32_t, 4> particle{};
   bool has_edges = false;
   float radius = 0.0f;    // m: contacts begin at this distance
-  float distance = 0.0f;  // m: of the sides when the pair was found
+  float distance = 0.0f;  // m: distance of the features when the pair was found
 
-  // Returns whether the k-th particle belongs to the first side.
+  // Returns whether the k-th particle belongs to the first feature.
   bool is_first(int k) const { return k < (has_edges ? 2 : 1); }
 };
 
 class NOVAPHY_COLLISION_API SurfacePairs {
  public:
-  // `world` and `rest` have a row for each particle. A pair that is nearer than `radius` (m) at
-  // rest gets 0.9 of that distance as its radius.
+  // `world` and `rest` have a row for each particle. If the features of a pair are nearer than
+  // `radius` (m) in the rest positions, the radius of the pair is 0.9 times this distance.
   SurfacePairs(std::span<const Vec3i> triangles, std::span<const int32_t> world,
                std::span<const Vec3f> rest, float radius);
   ~SurfacePairs();
 
-  // Finds the pairs that come nearer than the radius if each particle moves by at most its reach
-  // (m) from x, and stays in its region, if there are regions. Pairs of vertices and triangles
-  // come first, then pairs of edges, both in the order of the triangles of their sides. `x`: rows
-  // of which three floats count.
+  // Returns the pairs that can come nearer than their radius if each particle moves by at most its
+  // `reach` (m) from x. With `regions` each particle also stays in its region. Pairs of vertices
+  // and triangles come first, then pairs of edges, both in the order of the triangles of their
+  // features. The fourth float of a row of `x` is not used.
   const std::vector<SurfacePair>& find(std::span<const Vec4f> x, std::span<const float> reach,
                                        std::span<const geometry::Box3> regions = {});
 
-  // Returns the ends of an edge that passes through a triangle at x, and the triangle's corners.
+  // Returns the ends of an edge that passes through a triangle at the positions x, and the
+  // triangle's corners. Empty: no edge passes.
   std::optional<std::array<int32_t, 5>> find_crossing(std::span<const Vec4f> x);
 
   // Returns whether a particle is a corner of a triangle.
   bool is_vertex(int32_t particle) const;
-  // Returns the length of the shortest edge at rest (m), or 0 without an edge.
+  // Returns the length of the shortest edge in the rest positions (m), or 0 without an edge.
   float shortest_edge() const;
 
  private:

@@ -1,8 +1,8 @@
 // Box against box: 15 separating axes, then clipping of the faces (clip_manifold.h). Frame of A, m.
 //
 // The axis with the largest separation is chosen. A cross axis of two edges must exceed the face
-// axes by kEdgeBias of the size of the boxes. Rounding then does not turn a face contact into an
-// edge contact. Normal and depth of overlapping boxes are exact up to that bias. For separate
+// axes by kEdgeBias times the size of the boxes. Rounding then does not turn a face contact into an
+// edge contact. Normal and depth of overlapping boxes are exact up to this bias. For separate
 // boxes, the separation of a face axis is the distance only if the clipped faces overlap. Otherwise
 // GJK computes the distance. Source of the axes: Gottschalk, Lin, Manocha, OBBTree (1996).
 #pragma once
@@ -13,12 +13,12 @@
 namespace novaphy::geometry {
 
 inline constexpr float kEdgeBias = 2e-6f;      // of the sum of the half extents
-inline constexpr float kEdgeAxisSine = 1e-4f;  // edges closer to parallel give no axis
+inline constexpr float kEdgeAxisSine = 1e-4f;  // edges closer to parallel give no cross axis
 
 struct BoxAxis {
   Vec3f normal{};  // from A to B
   float separation{};
-  int32_t edge_a = -1, edge_b = -1;  // for a cross axis: directions of the edges
+  int32_t edge_a = -1, edge_b = -1;  // directions of the edges of a cross axis
 };
 
 // Returns the separation along the unit axis n, flipped to point from A to B.
@@ -31,8 +31,9 @@ inline BoxAxis box_axis(const ShapePair& pair, const Vec3f& n) {
           (math::abs(side) - math::dot(a, pair.a->scale)) - math::dot(b, pair.b->scale)};
 }
 
-// Returns whether a direction is an axis of both boxes, within half of kEdgeBias. Every cross axis
-// is then a face axis of one box, and cannot exceed it by kEdgeBias.
+// Returns whether a face axis of one box is also an axis of the other box, within half of
+// kEdgeBias. Every cross axis then is nearly a face axis, and cannot exceed the face axes by
+// kEdgeBias.
 inline bool share_an_axis(const ShapePair& pair) {
   constexpr float kNone = 0.5f * kEdgeBias;
   for (int32_t i = 0; i < 3; ++i) {
@@ -44,8 +45,8 @@ inline bool share_an_axis(const ShapePair& pair) {
   return false;
 }
 
-// Returns the axis with the largest separation. For boxes that are farther apart than the gap, any
-// axis with such a separation is returned.
+// Returns the axis with the largest separation. If the boxes are farther apart than the gap, the
+// function returns any axis whose separation exceeds the gap.
 inline BoxAxis best_box_axis(const ShapePair& pair, float gap) {
   BoxAxis best = box_axis(pair, unit_axis(0, 1.0f));
   for (int32_t i = 1; i < 6; ++i) {
@@ -70,8 +71,8 @@ inline BoxAxis best_box_axis(const ShapePair& pair, float gap) {
   return best;
 }
 
-// Returns the nearest points: of the two edges of a cross axis, or a corner and its projection on
-// the face.
+// Returns the nearest points: those of the two edges of a cross axis, or a corner and its
+// projection on the face.
 inline Proximity box_proximity(const ShapePair& pair, const BoxAxis& axis) {
   const Vec3f n = axis.normal;
   const SupportPoint corner = support_point(pair, n);
@@ -80,7 +81,7 @@ inline Proximity box_proximity(const ShapePair& pair, const BoxAxis& axis) {
     const float ha = component(pair.a->scale, axis.edge_a);
     const float hb = component(pair.b->scale, axis.edge_b);
     const Vec3f u = unit_axis(axis.edge_a, 1.0f), v = math::column(pair.rotation, axis.edge_b);
-    const Vec3f a = corner.a - u * math::dot(u, corner.a);  // middles of the edges
+    const Vec3f a = corner.a - u * math::dot(u, corner.a);  // midpoint of each edge
     const Vec3f b = corner.b - v * math::dot(v, corner.b - pair.offset);
     const SegmentPoints p = nearest_of_segments(a - u * ha, a + u * ha, b - v * hb, b + v * hb);
     proximity.on_a = p.a;

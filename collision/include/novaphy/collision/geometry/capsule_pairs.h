@@ -1,14 +1,14 @@
 // Capsule against capsule and against box, in closed form. Two contacts exist if the capsule lies
 // along the other capsule or along a face (clip_manifold.h). Frame of A, m.
 //
-// Capsules: the nearest points of the two segments. Crossing segments separate along the normal of
-// their plane, and collinear segments across their line. The signed distance is then -(sum of the
-// radii).
+// Capsules: the contact is at the nearest points of the two segments. Crossing segments separate
+// along the normal of their plane, and overlapping collinear segments perpendicular to their line.
+// The signed distance then is minus the sum of the radii.
 //
-// Box: a segment outside of the box is nearest at one of its ends or at one of the 12 edges. A
-// segment that intersects the box separates along the shortest of six directions: 3 face normals
-// and 3 cross products of the segment and an edge. On a tie the first is chosen. MuJoCo 4.0 gives
-// wrong results for the intersecting case.
+// Box: the point of an outside segment that is nearest to the box is one of its ends, or lies on
+// one of the 12 edges. A segment that intersects the box separates along the shortest of six
+// directions: 3 face normals and 3 cross products of the segment and an edge. If two are equally
+// short, the first is chosen. MuJoCo 4.0 gives wrong results for the intersecting case.
 #pragma once
 
 #include "novaphy/collision/geometry/clip_manifold.h"
@@ -18,9 +18,9 @@
 namespace novaphy::geometry {
 
 inline constexpr float kAxisSine = 1e-4f;      // edges closer to parallel give no cross axis
-inline constexpr float kTouchingCore = 2e-6f;  // of the size: nearer points define no direction
+inline constexpr float kTouchingCore = 2e-6f;  // of the size: nearer points give no direction
 
-// Makes a proximity of the surfaces from the nearest points of two cores. Returns false if the
+// Computes the proximity of the surfaces from the nearest points of two cores. Returns false if the
 // points are too near to define a direction.
 inline bool proximity_of_points(const Vec3f& a, const Vec3f& b, float ra, float rb, float size,
                                 Proximity& out) {
@@ -51,9 +51,9 @@ NOVAPHY_OUT_OF_LINE Manifold collide_capsules(const ShapePair& pair, float gap) 
   return clip_manifold(pair, proximity, gap);
 }
 
-// For a segment c - u .. c + u that intersects the box, in the frame of the box: returns the
-// shortest translation out of the box. The normal points out of the box; the distance is that of
-// the segment, < 0.
+// Returns the shortest translation that moves the segment c - u .. c + u out of the box. The
+// segment intersects the box. Frame of the box. The normal points out of the box, and the distance
+// is that of the segment, < 0.
 inline SolidPoint segment_out_of_box(const Vec3f& c, const Vec3f& u, const Vec3f& h) {
   SolidPoint best;
   bool found = false;
@@ -117,7 +117,7 @@ inline bool segment_meets_box(const Vec3f& s0, const Vec3f& s1, const Vec3f& h) 
   return enter <= leave;
 }
 
-// A is a capsule and B a box.
+// Returns the contacts of a capsule A and a box B.
 NOVAPHY_OUT_OF_LINE Manifold collide_capsule_box(const ShapePair& pair, float gap) {
   const Vec3f h = pair.b->scale;
   const float r = pair.a->scale.x;

@@ -1,19 +1,19 @@
-// The contact manifold of two shapes with known normal, distance and nearest points. The supporting
-// feature of one shape is clipped against that of the other.
+// Computes the contact manifold of two shapes with a known normal, distance and nearest points. The
+// supporting feature (face, edge or point) of one shape is clipped against that of the other shape.
 //
-// The reference feature is the face that is best aligned with the normal, within kFaceCosine. The
+// The reference feature is the face that is aligned best with the normal, within kFaceCosine. The
 // other feature, a face or an edge, is clipped by the planes through the edges of the reference
-// (Sutherland, Hodgman 1974). The distance of each corner is measured along the normal to the plane
-// of the reference. Two nearly parallel edges (kParallelSine) are clipped by the planes through the
-// ends of the first. All other features touch in one point.
+// face (Sutherland, Hodgman 1974). The distance of each corner is measured along the normal to the
+// plane of the reference. Two nearly parallel edges (kParallelSine) are clipped by the planes
+// through the ends of the first edge. All other features touch in one point.
 //
-// No corner counts as deeper than the known distance. If no corner is as deep (round rims, edges on
-// edges), the nearest points are added. The deepest point of the manifold therefore always has the
-// distance of the pair.
+// No corner gets a larger depth than the known depth of the pair. If no corner reaches this depth
+// (round rims, edges on edges), the nearest points are added. The deepest point of the manifold
+// therefore always has the distance of the pair.
 //
-// The normal may differ from that of the face: it may be an edge axis that is slightly better than
-// a nearly parallel face. The manifold is still that of the faces, which keeps stacks stable. Frame
-// of A, m.
+// The normal may differ from the normal of the reference face: it may be an edge axis that is
+// slightly better than a nearly parallel face. The manifold is still that of the faces, which keeps
+// stacks stable. Frame of A, m.
 #pragma once
 
 #include "novaphy/collision/geometry/feature.h"
@@ -49,7 +49,7 @@ inline void add_clipped(ClippedFeature& out, const Vec3f& point, int32_t code) {
   out.codes[out.count++] = code;
 }
 
-// Keeps the part with dot(normal, x) <= offset.
+// Returns the part of the feature with dot(normal, x) <= offset.
 NOVAPHY_OUT_OF_LINE ClippedFeature clip_by_plane(const ClippedFeature& in, const Vec3f& normal,
                                                  float offset, int32_t plane) {
   ClippedFeature out;
@@ -115,7 +115,7 @@ inline bool edges_run_along(const Feature& a, const Feature& b, const Vec3f& n) 
          math::abs(math::dot(u, n)) < kParallelSine && math::abs(math::dot(v, n)) < kParallelSine;
 }
 
-// Finds the features of both shapes that face each other along n.
+// Computes the features of both shapes that face each other along n.
 inline void facing_features(const ShapePair& pair, const Vec3f& n, Feature& a, Feature& b) {
   a = supporting_feature(*pair.a, n);
   b = supporting_feature(*pair.b, apply_transposed(pair.rotation, -n));
@@ -123,8 +123,8 @@ inline void facing_features(const ShapePair& pair, const Vec3f& n, Feature& a, F
   b.normal = apply(pair.rotation, b.normal);
 }
 
-// Adds the points of one feature that lie over the reference feature (A's if a_leads) and within
-// the gap. Returns whether a point is as deep as the pair.
+// Adds the points of one feature that lie over the reference feature and within the gap. The
+// reference is A's feature if a_leads, else B's. Returns whether a point is as deep as the pair.
 NOVAPHY_OUT_OF_LINE bool clip_features(const ShapePair& pair, const Proximity& proximity,
                                        const Feature& a, const Feature& b, bool a_leads, float gap,
                                        ContactCandidates& found) {
@@ -146,7 +146,7 @@ NOVAPHY_OUT_OF_LINE bool clip_features(const ShapePair& pair, const Proximity& p
     const float distance = math::max(core - radius, proximity.distance);
     if (!(distance <= gap)) continue;
     as_deep = as_deep || distance <= proximity.distance + tolerance;
-    // The other surface lies `shift` before its core; the contact point lies half a distance
+    // The surface is `shift` in front of the core point p. The contact point is half a distance
     // further.
     add_contact(found, p - away * (shift + 0.5f * distance), distance,
                 contact_feature(a.face, b.face, clipped.codes[i]));
@@ -154,7 +154,7 @@ NOVAPHY_OUT_OF_LINE bool clip_features(const ShapePair& pair, const Proximity& p
   return as_deep;
 }
 
-// Returns the points of two features with a distance of at most `gap`, before reduction.
+// Returns the points of two features whose distance is at most `gap` (m), before reduction.
 NOVAPHY_OUT_OF_LINE ContactCandidates clip_candidates(const ShapePair& pair,
                                                       const Proximity& proximity, const Feature& a,
                                                       const Feature& b, float gap) {

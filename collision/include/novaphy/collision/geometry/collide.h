@@ -1,4 +1,4 @@
-// The contacts of two convex shapes, with a table of the method for each pair of types:
+// The contacts of two convex shapes. The table has the method for each pair of types:
 //
 //              sphere    capsule   ellipsoid cylinder  box       cone      hull
 //   sphere     closed    closed    GJK/EPA   closed    closed    closed    GJK/EPA
@@ -6,8 +6,8 @@
 //   box                                                SAT, clip
 //   all others: GJK distance, EPA penetration, clipped features
 //
-// Inside, shape A is the shape with the smaller type. Both orders of a pair of different types
-// therefore give the same bits. A pair with a number that is not finite has no contacts.
+// The code calls the shape with the smaller type A, so that both orders of a pair of different
+// types give the same bits. A pair with a value that is not finite has no contacts.
 #pragma once
 
 #include "novaphy/collision/geometry/box_box.h"
@@ -21,7 +21,7 @@ inline bool is_convex_type(GeoType type) {
          type == GeoType::CONVEX_MESH;
 }
 
-// Requires type(a) <= type(b). Frame of A.
+// Requires type(a) <= type(b). The result is in the frame of A.
 inline Manifold collide_ordered(const ShapePair& pair, float gap) {
   const GeoType a = pair.a->type, b = pair.b->type;
   if (a == GeoType::SPHERE && has_closed_point_distance(b)) return collide_sphere(pair, gap);

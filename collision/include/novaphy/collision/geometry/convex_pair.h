@@ -7,8 +7,8 @@
 
 namespace novaphy::geometry {
 
-// Returns the proximity of a pair. For a distance above `limit`, the result is a lower bound of the
-// distance that is also above `limit`.
+// Returns the proximity of a pair. If the distance exceeds `limit` (m), the result is a lower bound
+// of the distance that also exceeds `limit`.
 NOVAPHY_OUT_OF_LINE Proximity convex_proximity(const ShapePair& pair, float limit) {
   const float ra = core_radius(*pair.a), rb = core_radius(*pair.b);
   GjkResult gjk_result = gjk(pair, (limit + ra) + rb);

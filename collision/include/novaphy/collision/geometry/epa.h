@@ -1,18 +1,19 @@
-// The penetration of two convex cores (shape.h) that touch or overlap: EPA on A - B.
+// The penetration of two convex cores (shape.h) that touch or overlap: the expanding polytope
+// algorithm (EPA) on the Minkowski difference A - B.
 //
-// A polytope of support points grows inside of the Minkowski difference. The face nearest to the
-// origin gives a lower bound of the depth. The support point along its normal n gives an upper
-// bound h(n): A and B separate when they move apart by h(n) along n. The result is the smallest
-// h(n) seen, so depth and normal always belong together. The growth ends when both bounds agree
-// within kEpaTolerance of the size of the difference, when the workspace is full, or when rounding
-// stops it.
+// A polytope of support points grows inside of the difference. The face nearest to the origin gives
+// a lower bound of the depth. The support function h(n) along the face's normal n is an upper
+// bound: A and B separate when they move apart by h(n) along n. The result is the smallest h(n)
+// that the search found with its n. The growth ends when both bounds agree within kEpaTolerance
+// times the size of the difference, when the workspace is full, or when rounding prevents progress.
 //
-// Distances of faces are signed. The polytope itself orients its faces, not the origin, which may
-// lie on the surface or just outside (touching contact, depth 0 or < 0). Source: van den Bergen,
-// Proximity Queries and Penetration Depth Computation on 3D Game Objects (2001).
+// Distances of faces are signed. The orientation of a face follows from the polytope. The origin
+// cannot give the orientation, because it may lie on the surface or just outside (a touching
+// contact with depth 0 or < 0). Source: van den Bergen, Proximity Queries and Penetration Depth Computation on
+// 3D Game Objects (2001).
 //
-// For a difference without volume (crossing segments), the cores separate along the normal of its
-// plane. Frame of A.
+// A flat difference has no volume, for example for crossing segments. The cores then separate along
+// the normal of its plane. Frame of A.
 #pragma once
 
 #include "novaphy/collision/geometry/gjk.h"
@@ -21,14 +22,14 @@ namespace novaphy::geometry {
 
 inline constexpr int32_t kEpaVertices = 96;
 inline constexpr int32_t kEpaFaces = 2 * kEpaVertices;
-inline constexpr int32_t kEpaEdges = 64;       // edges of the hole for a new vertex
+inline constexpr int32_t kEpaEdges = 64;       // most edges of the hole for a new vertex
 inline constexpr float kEpaTolerance = 5e-7f;  // of the size
 inline constexpr float kEpaFlat = 1e-6f;       // of the size: smallest height of a tetrahedron
 inline constexpr float kNoFace = 3.0e38f;
 
 struct Penetration {
   Vec3f normal{1.0f, 0.0f, 0.0f};  // unit, from A to B
-  float depth = kNoFace;           // m, of the cores
+  float depth = kNoFace;           // m, depth of the cores
   Vec3f on_a{}, on_b{};
 };
 
@@ -60,7 +61,8 @@ inline void add_face(EpaPolytope& poly, int32_t i, int32_t j, int32_t k) {
   f.offset = math::dot(n, n) > 0.0f ? math::dot(f.normal, a) : kNoFace;
 }
 
-// Adds an edge of the hole. An edge that two removed faces share is inside of the hole and cancels.
+// Adds an edge of the hole. An edge that two removed faces share is in the interior of the hole,
+// and is removed from the list.
 inline void toggle_edge(EpaEdges& edges, int32_t from, int32_t to) {
   for (int32_t i = 0; i < edges.count; ++i)
     if (edges.from[i] == to && edges.to[i] == from) {
@@ -94,8 +96,8 @@ inline void set_witness(Penetration& best, const EpaPolytope& poly, const EpaFac
   }
 }
 
-// Tests a direction. Keeps it if the cores separate by a shorter distance along it than along the
-// best one so far.
+// Tests the direction n. If the cores separate by a shorter distance along n than along the best
+// direction so far, n becomes the best direction.
 inline SupportPoint ask_direction(const ShapePair& pair, const Vec3f& n, Penetration& best,
                                   bool& better) {
   const SupportPoint p = support_point(pair, n);
@@ -110,8 +112,8 @@ inline SupportPoint ask_direction(const ShapePair& pair, const Vec3f& n, Penetra
   return p;
 }
 
-// Grows a simplex to a tetrahedron with volume. Returns false if the difference is flat; `best`
-// then has the direction across the flat difference.
+// Grows a simplex to a tetrahedron with volume. Returns false if the difference is flat. `best`
+// then has the direction perpendicular to the flat difference.
 NOVAPHY_OUT_OF_LINE bool grow_tetrahedron(const ShapePair& pair, Simplex& s, float& size,
                                           Penetration& best) {
   bool better = false;
@@ -181,8 +183,8 @@ inline void start_polytope(EpaPolytope& poly, const Simplex& s) {
   add_face(poly, j, 0, 3);
 }
 
-// Adds a vertex outside of the face `from` and removes all faces that the vertex sees. Returns
-// false if the workspace is full.
+// Adds a vertex outside of the face `from`, and removes all faces that are visible from the vertex.
+// Returns false if the workspace is full.
 NOVAPHY_OUT_OF_LINE bool add_vertex(EpaPolytope& poly, const SupportPoint& p, int32_t from,
                                     float tolerance) {
   EpaEdges edges;

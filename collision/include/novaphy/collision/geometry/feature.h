@@ -1,14 +1,14 @@
 // The feature of a shape in a direction: a face, an edge or a point of its core (shape.h).
 //
 // A face is a convex polygon, counter-clockwise seen from outside, with its normal. The caps of
-// cylinder and cone are polygons with 8 rim points. The points are fixed in the shape's frame, so
-// that a resting manifold does not rotate by rounding. The generators of cylinder and cone and the
-// segment of a capsule are edges. For a hull face with more than 16 corners, every k-th corner is
-// taken.
+// cylinders and cones are polygons with 8 rim points. These points are fixed in the shape's frame,
+// so that the manifold of a resting shape does not rotate by rounding. The generators of cylinders
+// and cones and the segment of a capsule are edges. A hull face with more than 16 corners is
+// represented by every k-th corner.
 //
-// `face` is the number of the face in the shape. Faces of a box have the number 2 axis + (0:
-// negative side, 1: positive side). Caps have 0 and 1, faces of a hull their index, and other
-// shapes 0. Frame of the shape.
+// `face` is the number of the face in the shape. A face of a box has the number 2 axis + side (0:
+// negative, 1: positive). Caps have 0 and 1, faces of a hull their index, and other shapes 0. Frame
+// of the shape.
 #pragma once
 
 #include "novaphy/collision/geometry/support.h"
@@ -21,7 +21,7 @@ inline constexpr float kCapCosine = 0.92388f;  // cos 22.5 deg: directions close
 
 struct Feature {
   Vec3f points[kFeatureCapacity];
-  Vec3f normal{};     // for a face
+  Vec3f normal{};     // only for a face
   int32_t count = 0;  // 1: a point, 2: an edge, else a face
   int32_t face = 0;
 };
@@ -101,7 +101,7 @@ inline Feature hull_feature(const HullView& hull, const Vec3f& d) {
   return feature;
 }
 
-// d is a unit vector.
+// Returns the feature of the shape that is farthest along the unit vector d.
 NOVAPHY_OUT_OF_LINE Feature supporting_feature(const Shape& shape, const Vec3f& d) {
   const Vec3f s = shape.scale;
   Feature feature;

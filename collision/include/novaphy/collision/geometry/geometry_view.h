@@ -1,5 +1,5 @@
 // The geometry of a shape beyond its type and scale: the scaled tables of a hull or mesh, and the
-// bounding box. Frame of the shape, m. The host makes the tables
+// bounding box. Frame of the shape, m. The host builds the tables
 // (collision/src/shape_geometries.h).
 #pragma once
 

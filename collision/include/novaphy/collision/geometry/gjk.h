@@ -1,17 +1,20 @@
-// The distance of two separate convex cores (shape.h): GJK on the Minkowski difference A - B.
+// The distance of two separate convex cores (shape.h): the Gilbert-Johnson-Keerthi algorithm (GJK)
+// on the Minkowski difference A - B.
 //
-// The point v of the current simplex is the nearest to the origin. Each iteration adds the support
-// point in direction -v and reduces the simplex to the face with the new v. For n = -v/|v| the
-// support point w gives the bounds -w.n <= distance <= |v|. The result is the largest lower bound
-// seen, with its n. The separation along a direction never exceeds the true distance.
+// Let v be the point of the current simplex that is nearest to the origin. Each iteration adds the
+// support point in direction -v and reduces the simplex to the face, edge or corner with the new v.
+// With n = -v/|v| the support point w gives the bounds -w.n <= distance <= |v|. The result is the
+// largest lower bound that the search found, with its n. A lower bound never exceeds the true
+// distance.
 //
-// Source: Gilbert, Johnson, Keerthi (1988); termination as in van den Bergen, Collision Detection
-// in Interactive 3D Environments (2003), 4.3. The nearest point of a triangle is computed from its
-// normal, which is accurate for thin triangles; differences of products of edges are not.
+// Source: Gilbert, Johnson, Keerthi (1988). The termination is that of van den Bergen, Collision
+// Detection in Interactive 3D Environments (2003), 4.3. The nearest point of a triangle is computed
+// from its normal. This is accurate for thin triangles, while differences of products of edges are
+// not.
 //
-// The iteration ends after kGjkIterations, or without progress. Below kTouchingDistance of the size
-// of the simplex the cores count as touching. The direction of v is dominated by rounding there,
-// and EPA (epa.h) decides. Frame of A, m.
+// The iteration ends after kGjkIterations, or without progress. If |v| is below kTouchingDistance
+// times the size of the simplex, the cores count as touching. Rounding then dominates the direction
+// of v, and EPA (epa.h) computes the result. Frame of A, m.
 #pragma once
 
 #include "novaphy/collision/geometry/support.h"
@@ -20,7 +23,7 @@ namespace novaphy::geometry {
 
 inline constexpr int32_t kGjkIterations = 64;
 inline constexpr float kGjkTolerance = 1e-6f;      // of the distance: difference of the bounds
-inline constexpr float kTouchingDistance = 2e-6f;  // of the simplex' size
+inline constexpr float kTouchingDistance = 2e-6f;  // of the size of the simplex
 
 struct Simplex {
   SupportPoint p[4];
@@ -35,7 +38,7 @@ struct GjkResult {
   Vec3f normal{};  // unit, from A to B
   float distance{};
   Vec3f on_a{}, on_b{};
-  Simplex simplex;  // the start of EPA
+  Simplex simplex;  // EPA starts from this simplex
 };
 
 // Finds the point of the segment p[0] p[1] nearest to the origin, and reduces the simplex to its
@@ -106,8 +109,8 @@ inline void nearest_of_triangle(Simplex& s) {
   s = best;
 }
 
-// Returns whether the tetrahedron contains the origin; otherwise reduces s to the nearest face,
-// edge or corner. A flat tetrahedron has no inside, so all its faces are tested.
+// Returns whether the tetrahedron contains the origin. If not, reduces s to the nearest face, edge
+// or corner. A flat tetrahedron has no inside, so all its faces are tested.
 inline bool nearest_of_tetrahedron(Simplex& s) {
   Simplex best;
   float best_square = -1.0f;
@@ -142,7 +145,8 @@ inline bool has_vertex(const Simplex& s, const Vec3f& w) {
   return false;
 }
 
-// Computes the distance of a pair. Distances above `limit` are not refined.
+// Computes the distance of a pair. The search stops as soon as the distance must exceed `limit`
+// (m).
 NOVAPHY_OUT_OF_LINE GjkResult gjk(const ShapePair& pair, float limit) {
   GjkResult result;
   Simplex& s = result.simplex;

@@ -1,24 +1,24 @@
 // The contact points of a pair of shapes: at most 8 points with a common normal.
 //
-// Frame: that of shape A inside of collide.h, else the world. `normal` is a unit vector from A to
-// B. A point lies midway between the two surfaces. `distance` (m) is signed along the normal, < 0
-// for an overlap. The surface points are
+// Frame: inside of collide.h the frame of shape A, else the world frame. `normal` is a unit vector
+// from A to B. The position of a point lies midway between the two surfaces. `distance` (m) is
+// signed along the normal, < 0 for an overlap. The surface points are
 //   on A: position - normal (distance / 2),    on B: position + normal (distance / 2).
-// `feature` identifies the touching features of A and B (contact_feature). A feature is unique in a
-// manifold and constant while the same features touch. Contacts can therefore be matched between
-// steps. The function collide() sorts points by feature, so the result does not depend on the order
-// of discovery. Points of planes keep the order of plane_pairs.h.
+// `feature` identifies the touching features of A and B (contact_feature). The number is unique in
+// a manifold and constant while the same features touch, so that contacts can be matched between
+// steps. The function collide() sorts points by feature, so that the order of discovery has no
+// effect. Points of planes keep the order of plane_pairs.h.
 //
-// Reduction (reduce_contacts) first selects the deepest point and the point farthest from it. The
-// third point gives the largest triangle, and the fourth the largest triangle on the other side of
-// the longest edge. Each further point is the farthest from the selected points. Ties go to the
-// smaller feature.
+// Reduction (reduce_contacts) selects the deepest point, then the point farthest from the first.
+// The third point gives the largest triangle. The fourth point gives the largest triangle on the
+// other side of the longest edge. Each further point is the farthest from the selected points. If
+// two points are equally good, the smaller feature is selected.
 #pragma once
 
 #include "novaphy/math/types.h"
 
-// Device compilers inline everything by default. Keeping the large functions out of line makes the
-// compilation of a kernel for all pairs seven times faster.
+// Device compilers inline everything by default. If the large functions stay out of line, a kernel
+// for all pairs compiles seven times faster.
 #define NOVAPHY_OUT_OF_LINE __attribute__((noinline)) inline
 
 namespace novaphy::geometry {
@@ -30,7 +30,7 @@ inline constexpr int32_t kCandidateCapacity = 40;  // largest number of points f
 struct ContactPoint {
   Vec3f position{};      // m
   float distance{};      // m
-  int32_t feature = -1;  // -1: none
+  int32_t feature = -1;  // -1: no feature
 };
 
 template <int32_t Capacity>
@@ -42,8 +42,8 @@ struct ContactSet {
 using Manifold = ContactSet<kManifoldCapacity>;
 using ContactCandidates = ContactSet<kCandidateCapacity>;
 
-// Packs a feature: face of A, face (or edge, or 0) of B, and a code of the point, in 11, 11 and 7
-// bits.
+// Packs a feature into an integer: the face of A, the face of B (or an edge, or 0), and a code of
+// the point, in 11, 11 and 7 bits.
 inline constexpr int32_t kWitnessCode = 127;
 inline int32_t contact_feature(int32_t face_a, int32_t face_b, int32_t code) {
   return ((face_a & 2047) << 18) | ((face_b & 2047) << 7) | code;
@@ -67,13 +67,14 @@ void sort_contacts(ContactSet<Capacity>& set) {  // sorts by feature
   }
 }
 
-// Returns the set with A and B exchanged, in the unchanged frame.
+// Returns the set with A and B exchanged. The frame stays the same.
 template <int32_t Capacity>
 ContactSet<Capacity> exchanged(ContactSet<Capacity> set) {
   set.normal = -set.normal;
   return set;
 }
-// Returns the set in an outer frame; `pose` is the pose of its present frame.
+// Returns the set in an outer frame. `pose` is the pose of the set's current frame in the outer
+// frame.
 template <int32_t Capacity>
 ContactSet<Capacity> in_frame(ContactSet<Capacity> set, const Transformf& pose) {
   set.normal = math::rotate(pose.q, set.normal);
@@ -82,10 +83,10 @@ ContactSet<Capacity> in_frame(ContactSet<Capacity> set, const Transformf& pose) 
   return set;
 }
 
-// Selects up to `limit` (at most 8) points of a set by the rule above. set.point(i), for i <
-// set.size(), are the points in the order that breaks ties. set.open(i) says whether a point may be
-// selected, and set.take(i) selects it. The selection ends at points within `least` (m) of a
-// selected point.
+// Selects up to `limit` (at most 8) points of a set by the rule at the head of the file.
+// set.point(i) for i < set.size() are the points. If two points are equally good, the first is
+// selected. set.open(i) returns whether a point may be selected, and set.take(i) selects the point.
+// The selection ends when all open points are within `least` (m) of a selected point.
 template <class Set>
 void take_extremes(Set& set, const Vec3f& n, int32_t limit, float least) {
   Vec3f corner[kManifoldCapacity];
@@ -106,7 +107,7 @@ void take_extremes(Set& set, const Vec3f& n, int32_t limit, float least) {
     return true;
   };
   auto square = [](const Vec3f& d) { return math::dot(d, d); };
-  // Twice the signed area of the triangle with the first edge, seen along the normal.
+  // Twice the signed area of the triangle of p and the first edge, signed about the normal n.
   auto area = [&](const Vec3f& p) {
     return math::dot(n, math::cross(corner[1] - corner[0], p - corner[0]));
   };
@@ -134,7 +135,7 @@ void take_extremes(Set& set, const Vec3f& n, int32_t limit, float least) {
   }
 }
 
-// Returns at most `limit` (1 .. Kept) of the points, sorted by feature.
+// Returns at most `limit` (1 to Kept) of the points, sorted by feature.
 template <int32_t Kept, int32_t Capacity>
 __attribute__((noinline)) ContactSet<Kept> reduce_contacts(const ContactSet<Capacity>& found,
                                                            int32_t limit = Kept) {

@@ -1,17 +1,18 @@
-// A cheap test of a mesh triangle and a convex shape B that avoids GJK. The test detects pairs
-// without a contact, and pairs in which B faces the triangle.
+// A cheap test of a mesh triangle and a convex shape B before GJK. The test detects pairs that have
+// no contact, and pairs in which B faces the triangle.
 //
 // The core of B must be a box about its own origin: a box, the segment of a capsule, or the center
 // of a sphere. Let w be the vector from a point of the triangle to the nearest point of the core.
 // In the frame of B, each coordinate of w is a monotone function of the same coordinate of the
-// point. The vectors w of the corners therefore bound w for the whole triangle. The normal of the
-// pair is w / |w| for one point.
+// triangle's point. The vectors w of the corners therefore bound w over the triangle. The
+// normal of the pair is w / |w| for one point.
 //
-// collide_triangle (mesh_triangle.h) adds no contact if the shapes are farther apart than the gap.
-// For separate shapes it also adds none if the normal is neither that of the face nor valid for the
-// surface (normal_stands). No normal is valid if the mesh rises above the plane perpendicular to
-// every w. The test checks the corners and edges that may be the farthest along w. Tolerances cover
-// the rounding of GJK, which decides doubtful cases. Frame of B, m.
+// The function collide_triangle (mesh_triangle.h) adds no contact if the shapes are farther apart
+// than the gap. For separate shapes it also adds no contact if the normal is neither that of the
+// face nor valid for the surface (normal_stands). No normal is valid if, for every w, the mesh
+// rises above the plane perpendicular to w. The test checks the corners and edges that may be the
+// farthest along w. Tolerances cover the rounding of GJK, which decides doubtful cases. Frame of B,
+// m.
 #pragma once
 
 #include "novaphy/collision/geometry/clip_manifold.h"
@@ -26,7 +27,7 @@ inline constexpr float kSurelyTilted = 0.056f;  // sine: above that of kFaceCosi
 inline constexpr float kSurelyFacing = 0.048f;  // sine: below that of kFaceCosine
 inline constexpr float kSurelyApart = 1e-3f;    // of the sizes
 
-// Finds the half extents of the core box. Returns false if the core is not a box.
+// Computes the half extents of the core box. Returns false if the core of B is not a box.
 inline bool core_box(const Shape& b, Vec3f& half) {
   half = {};
   if (b.type == GeoType::BOX) half = b.scale;
@@ -34,7 +35,7 @@ inline bool core_box(const Shape& b, Vec3f& half) {
   return b.type == GeoType::BOX || b.type == GeoType::CAPSULE || b.type == GeoType::SPHERE;
 }
 
-// Bounds of w over a triangle, and of its length.
+// Bounds of the vector w and of its length over a triangle (m).
 struct Ways {
   Vec3f lo{}, hi{};
   float least = 0.0f, most = 0.0f;
@@ -62,19 +63,19 @@ inline Ways ways_from(const Vec3f* corners, const Vec3f& half) {
   w.most = math::sqrt(w.most);
   return w;
 }
-// Returns the smallest possible w . d.
+// Returns the smallest possible dot product of w and d.
 inline float least_along(const Ways& w, const Vec3f& d) {
   return (d.x * (d.x > 0.0f ? w.lo.x : w.hi.x) + d.y * (d.y > 0.0f ? w.lo.y : w.hi.y)) +
          d.z * (d.z > 0.0f ? w.lo.z : w.hi.z);
 }
-// Returns whether a point at d (with the given length) lies above the plane perpendicular to every
-// w.
+// Returns whether a point at the offset d (of the given length) lies above the plane perpendicular
+// to w, for every w.
 inline bool rises(const Ways& w, const Vec3f& d, float length) {
   return least_along(w, d) > kSurelyRises * length * w.most;
 }
 
-// Returns whether the mesh rises at every corner and over every edge that may be the farthest along
-// a w. `corners` are the triangle's corners in the frame of B.
+// Returns whether the mesh rises at every corner, and over every edge, that may be the farthest
+// along some w. `corners` are the triangle's corners in the frame of B.
 inline bool rises_beyond(const MeshView& mesh, int32_t triangle, const ShapePair& pair,
                          const Vec3f* corners, const Ways& w) {
   const Vec3i t = mesh.triangles[triangle], all = mesh.across[triangle];
@@ -111,11 +112,12 @@ inline bool rises_beyond(const MeshView& mesh, int32_t triangle, const ShapePair
 }
 
 struct Foreseen {
-  bool no_contact = false;  // collide_triangle adds no contact
-  // m. Above 0: GJK would find at least this distance, within the gap, with the normal of the face.
+  bool no_contact = false;  // collide_triangle would add no contact
+  // m. If above 0: GJK would find at least this distance, within the gap, with the normal of the
+  // face.
   float facing = 0.0f;
 };
-// `half`: from core_box.
+// Returns what the test detects. `half` is the result of core_box.
 NOVAPHY_OUT_OF_LINE Foreseen foresee(const MeshView& mesh, int32_t triangle, const ShapePair& pair,
                                      const Vec3f& half, float gap) {
   Foreseen known;

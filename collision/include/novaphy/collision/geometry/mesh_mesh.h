@@ -1,25 +1,25 @@
 // Contacts of two triangle meshes, convex or not, before the reduction of mesh_pair.h. As for any
-// two polyhedra, two kinds exist:
+// two polyhedra, a contact has one of two kinds:
 //
-// Vertices of each mesh on the other (vertices_on_mesh). Outside, the normal is that of the nearest
-// point (point_to_mesh). Inside, the normal is that of the nearest face over the vertex. In a
-// concave edge or corner no face lies over the vertex. Two or three neighboring faces then give a
-// normal each, with the distance to its plane (faces_over).
+// Vertices of each mesh on the other mesh (vertices_on_mesh). For a vertex outside, the normal is
+// that of the nearest surface point (point_to_mesh). For a vertex inside, the normal is that of the
+// nearest face over the vertex. In a concave edge or corner no face lies over the vertex. Two or
+// three neighboring faces then each give a normal, with the distance to their plane (faces_over).
 //
 // A normal is valid only if the mesh around the vertex lies on the outer side of the face. The test
-// looks at each edge from the vertex to a neighbor: it may point inward by at most the sine
+// checks each edge from the vertex to a neighbor. The edge may point inward by at most the sine
 // kStandSine. A mesh that lies flush against a side face is therefore not pushed out through that
-// face.
+// side face.
 //
 // Edges on edges (edges_on_edges), for border edges and convex edges. The normal is perpendicular
-// to both edges and must lie in the normal cones of both. For an overlap each point must lie in or
-// on the other mesh. Among several directions at one place, the shortest way out is kept
-// (drop_long_ways).
+// to both edges and must lie in the normal cones of both. In an overlap each contact point must lie
+// in or on the other mesh. If several contacts at one place have different directions, the one with
+// the smallest overlap is kept (drop_long_ways).
 //
-// Inside and outside are those of point_to_mesh: a closed mesh has an inside, and an open mesh a
-// side behind its triangles. The vertices push a part that is deep in a closed mesh out. Every loop
-// runs over vertices, edges or tree nodes. The time is therefore bounded, and the order of the
-// results is fixed. Frame of A, m.
+// Inside and outside are defined as in point_to_mesh: a closed mesh has an inside, and an open mesh
+// has a side behind its triangles. Contacts of vertices push out a part that is deep inside of a
+// closed mesh. Every loop runs over vertices, edges or tree nodes. The time is therefore bounded,
+// and the order of the results is fixed. Frame of A, m.
 #pragma once
 
 #include "novaphy/collision/geometry/mesh_pair.h"
@@ -28,19 +28,20 @@
 namespace novaphy::geometry {
 
 inline constexpr float kStandSine = 0.3f;      // about 17 deg
-inline constexpr float kMeshTouch = 1e-5f;     // of the size: counts as on the surface
+inline constexpr float kMeshTouch = 1e-5f;     // of the size: this near counts as on the surface
 inline constexpr float kOverFace = 1e-4f;      // of an edge: beside a face by this much counts as
                                                // over it
-inline constexpr float kBeside = 0.01f;        // of the size: beside a face in a concave edge
+inline constexpr float kBeside = 0.01f;        // of the size: allowed offset beside a face
 inline constexpr float kCrossingSine = 1e-2f;  // edges closer to parallel have no contact
-inline constexpr float kMeshNear = 0.1f;       // of the size: mesh_reach
-inline constexpr int32_t kEdgeFeature = 16;    // features from here on are contacts of edges
+inline constexpr float kMeshNear = 0.1f;       // of the size: see mesh_reach
+inline constexpr int32_t kEdgeFeature = 16;    // features >= this value are contacts of edges
 inline constexpr int32_t kVertexKinds = 8;     // features per vertex of B; those of A follow
 inline constexpr float kFarDeeper = 10.0f;
 
-// Search distances. Contacts that are farther apart than the gap, or than a tenth of the smaller
-// mesh beyond the margins, are not searched. Pairs of edges have a smaller limit: the same
-// distance, also for overlaps, and the longest edge of both. Vertices cover the rest.
+// Search distances. The search leaves out contacts beyond the gap, and contacts beyond the margins
+// plus a tenth of the smaller mesh. Pairs of edges have a smaller limit, also for overlaps: the
+// margins plus this tenth or the longest edge of both meshes. Contacts of vertices cover deeper
+// overlaps.
 struct MeshReach {
   float size, gap, edges;  // m
 };
@@ -60,7 +61,7 @@ struct PlacedMesh {
   Transformf pose;
 
   Vec3f at(int32_t vertex) const { return math::transform_point(pose, mesh->vertices[vertex]); }
-  // Returns whether the mesh around the vertex lies on the side of n.
+  // Returns whether the mesh around the vertex lies on the side to which n points.
   bool stands(int32_t vertex, const Vec3f& n) const {
     const Vec3f along = math::rotate_inverse(pose.q, n), x = mesh->vertices[vertex];
     for (int32_t i = mesh->ring_starts[vertex]; i < mesh->ring_starts[vertex + 1]; ++i) {
@@ -71,23 +72,23 @@ struct PlacedMesh {
   }
 };
 
-// Returns a number from 1 to 6 for the dominant axis of n. The number stays the same for small
-// rotations, and distinguishes contacts of one vertex.
+// Returns a number from 1 to 6 for the dominant axis and sign of n. The number stays the same for
+// most small rotations, and distinguishes the contacts of one vertex.
 inline int32_t side_of_normal(const Vec3f& n) {
   const float x = math::abs(n.x), y = math::abs(n.y), z = math::abs(n.z);
   const int32_t axis = x >= y && x >= z ? 0 : y >= z ? 1 : 2;
   return 1 + 2 * axis + (component(n, axis) < 0.0f ? 0 : 1);
 }
 
-// The faces that push a vertex in or on a mesh out: the nearest face, and the other faces of a
-// concave edge or corner, one for each value of side_of_normal.
+// The faces that push out a vertex that is in or on a mesh. In general this is the nearest face. In
+// a concave edge or corner these are several faces, one for each value of side_of_normal.
 struct FacePoint {
   Vec3f normal{};
   float distance = -kFarAway;
 };
 struct FacesOver {
   FacePoint over;       // the nearest face over the point
-  FacePoint beside[6];  // the nearest face of each side that the point is slightly beside
+  FacePoint beside[6];  // for each side: the nearest face that the point is slightly beside
 };
 inline FacesOver faces_over(const MeshView& onto, const PlacedMesh& of, int32_t vertex,
                             const Vec3f& x, const MeshReach& reach) {
@@ -96,7 +97,7 @@ inline FacesOver faces_over(const MeshView& onto, const PlacedMesh& of, int32_t 
   float nearest = kFarAway;
   for (int32_t i = 0; i < onto.node_count;) {
     const MeshNode& node = onto.nodes[i];
-    // Upper bound of the distances that can still matter.
+    // Upper bound of the distance of faces that can still change the result.
     const float bound = 3.0f * (kLongWay * nearest + slack) + slack;
     if (square_outside(node.box, x) > bound * bound) {
       i = node.skip;
@@ -117,7 +118,7 @@ inline FacesOver faces_over(const MeshView& onto, const PlacedMesh& of, int32_t 
             beside, -math::dot(math::cross(edge, x - v[e]), n) / length - kOverFace * length);
       }
       FacePoint& best = beside > 0.0f ? found.beside[side_of_normal(n) - 1] : found.over;
-      // The comparison is written so that NaN fails.
+      // This form of the comparison fails for NaN.
       if (!(distance > best.distance) || !(beside <= slack + kLongWay * math::abs(distance)) ||
           !of.stands(vertex, n))
         continue;
@@ -135,13 +136,13 @@ inline FacesOver faces_over(const MeshView& onto, const PlacedMesh& of, int32_t 
   return found;
 }
 
-// Calls emit(vertex, feature, x, normal, distance) for the vertices of a mesh on another mesh. x
-// and the outward normal are in the frame of the other mesh.
+// Calls emit(vertex, feature, x, normal, distance) for the vertices of a mesh on another mesh. The
+// position x and the outward normal are in the frame of the other mesh.
 template <class Emit>
 void vertices_on_mesh(const MeshView& onto, const PlacedMesh& of, const MeshReach& reach,
                       Emit emit) {
   const float touch = kMeshTouch * reach.size;
-  // A point on the surface near the previous vertex, which bounds the distance of the next one.
+  // A point of the surface near the previous vertex. It bounds the distance of the next vertex.
   Vec3f known{};
   float knows = kFarAway;
   for (int32_t vertex = 0; vertex < of.mesh->vertex_count; ++vertex) {
@@ -160,7 +161,8 @@ void vertices_on_mesh(const MeshView& onto, const PlacedMesh& of, const MeshReac
     }
     const FacesOver faces = faces_over(onto, of, vertex, x, reach);
     const auto take = [&](const FacePoint& face) {
-      // Only the mesh may lie between: the midpoint must be inside too.
+      // The space between the vertex and the face must belong to the mesh: the midpoint must be
+      // inside, too.
       const Vec3f between = x - face.normal * (0.5f * face.distance);
       if (face.distance > -kFarAway && point_to_mesh(between, onto, touch).distance <= touch)
         emit(vertex, side_of_normal(face.normal), x, face.normal, face.distance);
@@ -170,12 +172,13 @@ void vertices_on_mesh(const MeshView& onto, const PlacedMesh& of, const MeshReac
   }
 }
 
-// Returns whether n, perpendicular to the edge, lies between the normals of the two faces, or in
-// front of the one face of a border edge. For nearly parallel faces -n is excluded.
+// Returns whether n, which is perpendicular to the edge, lies between the normals of the edge's two
+// faces. For a border edge: whether n lies in front of its one face. For nearly parallel faces -n
+// is excluded.
 inline bool in_cone(const MeshView& mesh, const MeshEdge& edge, const Vec3f& n) {
   const Vec3f a = mesh.vertices[edge.a], along = mesh.vertices[edge.b] - a;
   const float square = math::dot(along, along);
-  // Direction along the face to its third corner.
+  // Returns the direction in the face that points from the edge to the third corner.
   const auto beside = [&](int32_t corner) {
     const Vec3f d = mesh.vertices[corner] - a;
     return d - along * (math::dot(d, along) / square);
@@ -190,7 +193,7 @@ inline bool in_cone(const MeshView& mesh, const MeshEdge& edge, const Vec3f& n) 
   return below(right) && (before || math::dot(n, normal) >= -kBehindCosine * math::length(normal));
 }
 
-// Calls emit(edge of A, edge of B, point on A, point on B, normal, distance).
+// Calls emit(edge of A, edge of B, point on A, point on B, normal, distance) for each contact.
 template <class Emit>
 void edges_on_edges(const MeshView& a, const PlacedMesh& b, const MeshReach& reach, Emit emit) {
   const float touch = kMeshTouch * reach.size;
@@ -228,7 +231,7 @@ void edges_on_edges(const MeshView& a, const PlacedMesh& b, const MeshReach& rea
           distance = -distance;
         }
         if (!(distance <= reach.edges)) continue;
-        if (!faces(n)) {  // not separate, so test for an overlap
+        if (!faces(n)) {  // the edges are not separate, so test for an overlap
           n = -n;
           distance = -distance;
           const float in = touch - 0.1f * distance;
@@ -275,10 +278,11 @@ void collide_meshes(const MeshView& a, const MeshView& b, const Transformf& b_in
                  });
 }
 
-// Drops an overlap if another contact nearby has a smaller overlap in another direction. For a
-// contact of edges, a smaller overlap is enough. For a contact of a vertex, the other overlap must
-// be much smaller. Otherwise a vertex that is flush with one side would be pushed off the far side.
-// Moves the remaining contacts to the front, in their order, and returns their number.
+// Drops an overlap if another contact nearby has a smaller overlap in another direction. A contact
+// of edges is dropped for any smaller overlap. A contact of a vertex is dropped only if the other
+// overlap is much smaller. Otherwise a vertex that is flush with one side would be pushed through
+// the mesh to the far side. Moves the remaining contacts to the front, in their order, and returns
+// their number.
 inline int32_t drop_long_ways(MeshContact* c, int32_t count) {
   const auto is_long = [&](const MeshContact& contact) {
     const float distance = contact.point.distance;

@@ -1,13 +1,14 @@
-// A triangle mesh (A) against a convex shape (B): the contacts of B with each triangle near it
-// (mesh_triangle.h), without contacts of interior edges, and their reduction.
+// Contacts of a triangle mesh (A) with a convex shape (B). The file collects the contacts of B with
+// each nearby triangle (mesh_triangle.h), drops wrong contacts at interior edges, and reduces the
+// rest.
 //
-// Reduction (reduce_mesh_contacts) sorts contacts by (distance, triangle, feature). Each contact
-// joins the first group whose deepest contact has a normal within 5 degrees. Each group keeps the
-// contacts that are farthest in eight fixed directions perpendicular to the normal, and its deepest
-// contact. Groups are processed until `limit` contacts are kept.
+// The reduction (reduce_mesh_contacts) sorts contacts by (distance, triangle, feature). Each
+// contact is added to the first group whose deepest contact has a normal within 5 degrees. Each
+// group keeps its deepest contact, and the contacts that are farthest in eight fixed directions
+// perpendicular to the normal. The reduction ends when `limit` contacts are kept.
 //
-// The result depends only on the set of contacts, not on their order or on the capacity, if all
-// contacts fit. Frame of the mesh, m.
+// The result depends only on the set of contacts. Their order has no effect, and the capacity has
+// no effect if all contacts fit. Frame of the mesh, m.
 #pragma once
 
 #include "novaphy/collision/geometry/mesh_triangle.h"
@@ -15,14 +16,14 @@
 namespace novaphy::geometry {
 
 inline constexpr float kSeamNear = 0.05f;          // of the triangle: counts as the same place
-inline constexpr float kLongWay = 2.0f;            // of the shortest way
+inline constexpr float kLongWay = 2.0f;            // multiple of the shortest way out
 inline constexpr float kGroupCosine = 0.9961947f;  // 5 deg
 inline constexpr int32_t kGroupPoints = 9;
 inline constexpr int32_t kMeshContacts = 32;  // per pair
 inline constexpr float kSamePoint = 1e-4f;    // of the extent of a group's points
-inline constexpr Vec3f kSteadyDirection = {0.83f, 0.47f, 0.31f};  // not along any common direction
+inline constexpr Vec3f kSteadyDirection = {0.83f, 0.47f, 0.31f};  // parallel to no common direction
 
-// Returns the box of B in the frame of the mesh, grown by the gap.
+// Returns the bounding box of B in the frame of the mesh, enlarged by the gap.
 inline Box3 box_in_mesh(const ShapePair& pair, float gap) {
   const float grow = core_radius(*pair.b) + gap;
   Box3 box;
@@ -45,7 +46,7 @@ void collide_mesh(const MeshView& mesh, const Shape& b, const Transformf& b_in_m
   const ShapePair pair = shape_pair(none, b, b_in_mesh);
   if (!is_finite(pair)) return;
   Vec3f half;
-  // Bounds over a large triangle are too loose for the cheap test.
+  // If triangles are large, the bounds of the cheap test are too loose.
   const bool foresees = core_box(b, half) && mesh.longest_edge <= kForeseenEdge * gap;
   for_triangles_in(mesh, box_in_mesh(pair, gap), [&](int32_t triangle) {
     const Foreseen known = foresees ? foresee(mesh, triangle, pair, half, gap) : Foreseen{};
@@ -79,8 +80,9 @@ inline void sort_mesh_contacts(MeshContact* c, int32_t count) {  // heap sort
   }
 }
 
-// Returns whether B no longer touches the triangle of `of` after the translation of `contact`. A
-// seam contact only duplicates its place, so both must be near.
+// Returns whether the translation of `contact` moves B off the triangle of the contact `of`. If
+// `of` has the rank Seam, both contacts must also be near each other, because a seam contact only
+// repeats a contact of the same place.
 inline bool takes_off(const MeshView& mesh, const MeshContact& contact, const MeshContact& of) {
   const Vec3i t = mesh.triangles[of.triangle];
   const Vec3f &x = mesh.vertices[t.x], &y = mesh.vertices[t.y], &z = mesh.vertices[t.z];
@@ -96,12 +98,14 @@ inline bool takes_off(const MeshView& mesh, const MeshContact& contact, const Me
   return along > 0.0f && along >= math::dot(of.shortest, of.shortest);
 }
 
-// Drops contacts that another contact explains: moving B out along the other contact separates B
-// from the triangle. The other contact has a lower rank, or the same rank and a shorter way. Any
-// such contact explains a contact that is much deeper than its triangle requires. Contacts in the
-// same direction do not explain a WayOut contact over its triangle. Nothing explains such a contact
-// if a Counts contact is about as deep, as for a corner that has just passed an interior edge.
-// Returns the number that stays, in order.
+// Drops contacts that another contact explains. A contact explains another one if its translation
+// moves B off the triangle of the other contact. The explaining contact has a lower rank, or the
+// same rank and a shorter way out. A contact that is much deeper than its triangle requires is
+// explained by any such contact.
+//
+// Exceptions for a WayOut contact: contacts in the same direction do not explain it. Nothing
+// explains it if a Counts contact in the same direction is about as deep, as for a corner that has
+// just passed an interior edge. Returns the number of remaining contacts, which keep their order.
 inline int32_t drop_explained(const MeshView& mesh, MeshContact* c, int32_t count) {
   const auto is_explained = [&](int32_t of) {
     const MeshContact& contact = c[of];
@@ -132,8 +136,8 @@ inline int32_t drop_explained(const MeshView& mesh, MeshContact* c, int32_t coun
   return n;
 }
 
-// Keeps the deepest contact of a group (its first) and its extremes. Returns the number kept, at
-// most `room`.
+// Keeps the deepest contact of a group, which is the first, and the extreme contacts. Returns the
+// number of kept contacts, at most `room`.
 inline int32_t keep_extremes(MeshContact* c, int32_t count, int32_t group, float extent,
                              int32_t room) {
   const Vec3f n = c[group].normal, across = kSteadyDirection - n * math::dot(n, kSteadyDirection);
@@ -172,7 +176,8 @@ inline int32_t keep_extremes(MeshContact* c, int32_t count, int32_t group, float
   return kept;
 }
 
-// Reduces in place. Returns the number that stays, sorted as above.
+// Reduces the contacts in place. Returns the number of remaining contacts, in the order of the head
+// of the file.
 inline int32_t reduce_mesh_contacts(const MeshView& mesh, MeshContact* c, int32_t count,
                                     int32_t limit = kMeshContacts) {
   sort_mesh_contacts(c, count);

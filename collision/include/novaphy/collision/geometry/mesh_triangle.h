@@ -1,20 +1,22 @@
-// A triangle of a mesh (A) against a convex shape (B): the contacts of two convex shapes, each with
-// a normal n and a rank (MeshRank).
+// The contacts of a triangle of a mesh (A) with a convex shape (B), as two convex shapes. Each
+// contact has a normal n and a rank (MeshRank):
 //
 // - Counts: the normal is valid. Around the part of the triangle that is farthest along n, the mesh
-//   stays below the plane perpendicular to n (normal_stands), so the part is on the surface. A
-//   normal within 3 degrees of the triangle's own normal is valid too. The own normal then replaces
-//   it, with the separation along it, for the part of B over the triangle.
-// - Seam: n is valid and within 3 degrees of the triangle's own normal, but B's deepest point lies
-//   over another triangle: a convex edge of less than 6 degrees.
-// - WayOut: B overlaps the triangle, and n is not valid: B is deep, or the edge is flat or concave.
-//   The part of B over the triangle has the triangle's own normal.
-// - Beside: B's deepest point, if B overlaps the triangle but nothing over it touches.
+//   stays below the plane perpendicular to n (normal_stands), so this part is on the surface. A
+//   normal within 3 degrees of the triangle's normal is also valid. The triangle's normal then
+//   replaces n, and the separation along it is used for the part of B over the triangle.
+// - Seam: n is valid and within 3 degrees of the triangle's normal, but B's deepest point lies over
+//   another triangle. The edge between both triangles is convex, with an angle below 6 degrees.
+// - WayOut: B overlaps the triangle, and n is not valid, because B is deep, or the edge is flat or
+//   concave. The part of B over the triangle has the triangle's normal.
+// - Beside: B's deepest point, if B overlaps the triangle, but no part of B over the triangle
+//   touches.
 //
-// A contact of a rank other than Counts stays only if no better contact moves B off its triangle
-// (drop_explained). A shape thus slides over flat and concave edges as over one face, and a contact
-// in one place does not remove contacts elsewhere. A shape that is completely behind a triangle
-// does not touch it, so a shape far inside of a mesh has no contacts. Frame of the mesh, m.
+// A contact of another rank than Counts stays only if no better contact moves B off the triangle
+// (drop_explained). A shape therefore slides over flat and concave edges as over one face, and a
+// contact in one place does not remove contacts elsewhere. A shape that is completely behind a
+// triangle does not touch this triangle. A shape deep inside of a mesh therefore has no contacts.
+// Frame of the mesh, m.
 #pragma once
 
 #include "novaphy/collision/geometry/convex_pair.h"
@@ -35,8 +37,8 @@ struct MeshContact {
   Vec3f normal{};  // from the mesh to B
   int32_t triangle = 0;
   MeshRank rank = MeshRank::Counts;
-  float way_out = 0.0f;  // m, separation of B from the triangle along the normal
-  Vec3f shortest{};      // m, translation that separates B from this triangle alone
+  float way_out = 0.0f;  // m, separation of B and the triangle along the normal
+  Vec3f shortest{};      // m, shortest translation of B off this triangle
   float clears = 0.0f;   // m, position of B along the normal after that translation
   int32_t group = -1;    // used by reduce_mesh_contacts
   bool kept = false;
@@ -71,8 +73,8 @@ inline HullView view_of(const TriangleHull& t) {
   return view;
 }
 
-// Returns the corners of the triangle that are farthest along n: the feature that touches a shape
-// there.
+// Returns the face, edge or corner of the triangle that is farthest along n. This feature touches a
+// shape in that direction.
 inline Feature corners_along(const TriangleHull& t, const Vec3f& n) {
   float height[3];
   for (int32_t k = 0; k < 3; ++k) height[k] = math::dot(n, t.vertices[k] - t.vertices[0]);
@@ -86,9 +88,9 @@ inline Feature corners_along(const TriangleHull& t, const Vec3f& n) {
   return feature;
 }
 
-// Returns whether the mesh lies below the plane perpendicular to n through the face, edge or corner
-// of the triangle that is farthest along n. The neighboring triangle decides for an edge, and the
-// neighbors of a corner for a corner.
+// Returns whether the mesh lies below a plane perpendicular to n. The plane passes through the
+// face, edge or corner of the triangle that is farthest along n. For an edge the test checks the
+// neighboring triangle, and for a corner the neighbors of the corner.
 inline bool normal_stands(const MeshView& mesh, int32_t triangle, const Vec3f& n) {
   const Vec3i t = mesh.triangles[triangle];
   const int32_t corners[3] = {t.x, t.y, t.z};
@@ -129,7 +131,7 @@ inline bool normal_stands(const MeshView& mesh, int32_t triangle, const Vec3f& n
   return true;
 }
 
-// Returns the proximity along the triangle's own normal.
+// Returns the proximity along the triangle's normal.
 inline Proximity face_proximity(const ShapePair& pair, const TriangleHull& t) {
   const Vec3f n = t.normals[0];
   const SupportPoint p = support_point(pair, n);
@@ -139,8 +141,9 @@ inline Proximity face_proximity(const ShapePair& pair, const TriangleHull& t) {
 }
 
 // Returns the contacts of B over the face of the triangle. `over` is the proximity of B and the
-// triangle's plane. `front` and `facing` return the features of the triangle and of B. The deepest
-// point of B is added if no corner of its feature is as deep, as for a round or rotated shape.
+// triangle's plane. `front` and `facing` receive the features of the triangle and of B. If no
+// corner of B's feature is as deep as B's deepest point (a round or rotated shape), that point is
+// added.
 inline ContactCandidates over_face(const ShapePair& pair, const Proximity& over, float gap,
                                    Feature& front, Feature& facing) {
   facing_features(pair, over.normal, front, facing);
@@ -160,8 +163,8 @@ inline bool has_deeper(const ContactCandidates& found, float distance) {
   return false;
 }
 
-// Makes a contact of a triangle from a point, its proximity and its rank. Contacts of the rank
-// Counts do not use `nearest`, the proximity along the shortest way out.
+// Makes a contact of a triangle from a point, the proximity `along` its normal, and its rank.
+// `nearest` is the proximity along the shortest way out. The rank Counts does not use it.
 inline MeshContact mesh_contact(int32_t triangle, const ContactPoint& point, const Proximity& along,
                                 const Proximity& nearest, MeshRank rank) {
   MeshContact contact;
@@ -176,7 +179,7 @@ inline MeshContact mesh_contact(int32_t triangle, const ContactPoint& point, con
 }
 
 // Calls add(contact) for the contacts of B with one triangle, before reduction. `foreseen` is
-// Foreseen::facing, which makes GJK unnecessary for most triangles that B faces.
+// Foreseen::facing. If it is above 0, most triangles need no GJK.
 template <class Add>
 NOVAPHY_OUT_OF_LINE void collide_triangle(const MeshView& mesh, int32_t triangle, const Shape& b,
                                           const Transformf& b_in_mesh, float gap, float foreseen,
@@ -228,7 +231,7 @@ NOVAPHY_OUT_OF_LINE void collide_triangle(const MeshView& mesh, int32_t triangle
          over, MeshRank::Beside);
     return;
   }
-  // B's deepest point may lie over a face that slopes away from this one.
+  // B's deepest point may lie over a neighboring face that slopes away from this face.
   const float deep = nearest.distance + (kAsDeep - 1.0f) * math::abs(nearest.distance) +
                      kDeepestShare * extent(front);
   if (has_deeper(found, deep)) return;

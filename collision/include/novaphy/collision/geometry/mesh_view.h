@@ -1,5 +1,6 @@
-// A triangle mesh for collision: flat tables, built once by build_mesh_tree (mesh_tree.h), and the
-// traversal of the triangles whose boxes overlap a box. Frame of the mesh, m.
+// The flat tables of a triangle mesh for collision, which build_mesh_tree (mesh_tree.h) builds
+// once. The file also has the traversal of the triangles whose boxes overlap a box. Frame of the
+// mesh, m.
 #pragma once
 
 #include "novaphy/collision/geometry/shape.h"
@@ -14,8 +15,8 @@ inline bool boxes_meet(const Box3& a, const Box3& b) {  // touching boxes overla
          a.lo.z <= b.hi.z && b.lo.z <= a.hi.z;
 }
 
-// A node of the box tree. Nodes are in depth-first order: the children of node i follow it, and
-// `skip` is the next node if node i is not entered. The traversal needs no stack.
+// A node of the box tree. Nodes are stored in depth-first order: the descendants of node i follow
+// node i, and `skip` is the next node outside of its subtree. The traversal needs no stack.
 struct MeshNode {
   Box3 box;
   int32_t skip;   // next node after this subtree
@@ -23,22 +24,23 @@ struct MeshNode {
   int32_t count;  // 0: not a leaf
 };
 
-// A border edge, or an edge where the mesh is convex beyond rounding.
+// An edge that can touch other edges: a border edge, or an edge where the mesh is convex beyond
+// rounding.
 struct MeshEdge {
   int32_t a, b;
   int32_t left, right;  // third corners of its triangles; right is -1 on a border
   int32_t triangle;     // the triangle with the corner `left`
 };
 
-// Marks of an edge without a third corner on the other side. Border: no triangle is there. Unclear:
-// several triangles, one without area, or one with the opposite orientation.
+// Values for an edge without a third corner on the other side. Border: no triangle is on the other
+// side. Unclear: several triangles, a triangle without area, or one with the opposite orientation.
 inline constexpr int32_t kMeshBorder = -1, kMeshUnclear = -2;
 
 struct MeshView {
   const Vec3f* vertices{};
   const Vec3i* triangles{};      // counter-clockwise seen from outside
   const Vec3f* normals{};        // unit normals of the triangles; zero without area
-  const int32_t* ring_starts{};  // vertices + 1 into ring
+  const int32_t* ring_starts{};  // vertices + 1 indices into ring
   const int32_t* ring{};         // for each vertex, the vertices that share an edge with it
   const MeshEdge* edges{};
   const Vec3i* own_edges{};  // for each triangle, the edges with this triangle on the left, or -1

@@ -1,8 +1,9 @@
-// Nearest points of a point and a triangle, and of two segments, as weights of their four corners.
+// Nearest points of a point and a triangle, or of two segments, as weights of four corners.
 //
-// The corners of a pair are x, a, b, c of a point and a triangle, or a0, a1, b0, b1 of two
-// segments. With the weights w the nearest points are apart by sum w x, from the second side to the
-// first. The weights of the first side sum to 1, those of the second side to -1.
+// The corners x of a pair are a point and the corners a, b, c of a triangle, or the ends a0, a1,
+// b0, b1 of two segments. With the weights w, sum w x is the vector from the nearest point of the
+// second feature to the nearest point of the first. The weights of the first feature sum to 1,
+// those of the second to -1.
 //
 // Source: C. Ericson, Real-Time Collision Detection (2005), 5.1.5 and 5.1.9.
 #pragma once
@@ -56,8 +57,8 @@ inline NearestWeights nearest_to_triangle(const Vec3d (&x)[4]) {
   return with_distance(x, 1.0, (v + w) - 1.0, -v, -w);
 }
 
-// Returns the weights of the segments x[0], x[1] and x[2], x[3]. For parallel segments, those of
-// any pair of nearest points.
+// Returns the weights of the segments x[0], x[1] and x[2], x[3]. Parallel segments may have many
+// pairs of nearest points. The function then returns the weights of one pair.
 inline NearestWeights nearest_of_edges(const Vec3d (&x)[4]) {
   const auto clamped = [](double along, double square) {
     if (!(along > 0.0) || !(square > 0.0)) return 0.0;

@@ -1,11 +1,11 @@
 // Contacts of an infinite plane (A) with the other primitives (B), in closed form.
 //
-// A plane is given by its pose: local +z is the normal n, and p is its origin. Distances are those
-// of points of B to the plane, so they are exact for every listed point. The midpoint of a contact
-// is the point of B moved back by half its distance: x - (n/2) d. Sizes are described at GeoType.
-// Source: plane with sphere, capsule and box: Newton 1.8.0, with the same bits on the CPU.
+// The pose of a plane gives its normal n (local +z) and its origin p. Distances are those of points
+// of B to the plane, and are exact for every listed point. The position of a contact is the point x
+// of B moved back by half its distance d: x - (n/2) d. GeoType describes the sizes. Source: plane
+// with sphere, capsule and box: Newton 1.8.0, with the same bits on the CPU.
 //
-// Freestanding: device compilers read this header.
+// Freestanding (no standard headers), because device code includes this header.
 #pragma once
 
 #include "novaphy/collision/geometry/manifold.h"
@@ -25,7 +25,7 @@ inline Manifold plane_manifold(const Plane& plane) {
   return manifold;
 }
 
-// Adds the contact of a point x of B.
+// Adds the contact of the plane and a point x of B.
 inline void add_plane_point(Manifold& manifold, const Plane& plane, const Vec3f& x,
                             int32_t feature) {
   const Vec3f& n = plane.normal;
@@ -33,7 +33,7 @@ inline void add_plane_point(Manifold& manifold, const Plane& plane, const Vec3f&
   add_contact(manifold, x - (n * 0.5f) * d, d, feature);
 }
 
-// Adds the contact of a sphere of B.
+// Adds the contact of the plane and a sphere that is a part of B.
 inline void add_plane_sphere(Manifold& manifold, const Plane& plane, const Vec3f& center,
                              float radius, int32_t feature) {
   const Vec3f& n = plane.normal;
@@ -47,7 +47,7 @@ inline Manifold plane_sphere(const Plane& plane, const Transformf& sphere, float
   return manifold;
 }
 
-// Adds both ends; the end at +z is feature 0 and comes first.
+// Adds both ends of the capsule. The end at +z has feature 0 and comes first.
 inline Manifold plane_capsule(const Plane& plane, const Transformf& capsule, float radius,
                               float half_height) {
   const Vec3f half = math::rotate(capsule.q, Vec3f{0.0f, 0.0f, 1.0f}) * half_height;
@@ -57,9 +57,10 @@ inline Manifold plane_capsule(const Plane& plane, const Transformf& capsule, flo
   return manifold;
 }
 
-// Keeps the four deepest corners within `reach`, in the slots of their discovery. A corner that is
-// deeper than the highest of four replaces it; on a tie the earlier corner stays. The feature is
-// the corner: bit k is set for the + side of axis k.
+// Returns the four deepest corners within `reach` (m), each in the slot where it was found. A
+// corner that is deeper than the least deep of four replaces it. If both are equally deep, the
+// earlier corner stays. The feature is the index of the corner: bit k is set for the + side of axis
+// k.
 inline Manifold plane_box(const Plane& plane, const Transformf& box, const Vec3f& half,
                           float reach) {
   const Vec3f& n = plane.normal;
@@ -91,8 +92,8 @@ inline Manifold plane_box(const Plane& plane, const Transformf& box, const Vec3f
   return manifold;
 }
 
-// Returns the deepest point of a disc's rim below the plane, relative to the center. u and v span
-// the disc. For a disc parallel to the plane the result is along u.
+// Returns the deepest point of a disc's rim, relative to the center of the disc. The unit vectors u
+// and v span the disc. If the disc is parallel to the plane, the result is along u.
 inline Vec3f deepest_of_rim(const Vec3f& n, const Vec3f& u, const Vec3f& v, float radius) {
   const float x = -math::dot(n, u), y = -math::dot(n, v);
   const float length = math::sqrt(x * x + y * y);
@@ -103,11 +104,11 @@ inline Vec3f deepest_of_rim(const Vec3f& n, const Vec3f& u, const Vec3f& v, floa
 inline constexpr float kFlatCap = 0.92387953f;     // cosine of 22.5 degrees
 inline constexpr float kRestingCap = 0.99862953f;  // of 3 degrees
 
-// Adds a disc with the unit axis `axis`. Feature 0 is its deepest point. For a disc within 22.5
-// degrees of the plane, three rim points follow, features 1 to 3, 120 degrees apart from u on.
-// These points rotate with the body, so a steeper disc, which rolls on its rim, has none. Rim
-// points near the deepest point are left out: within 1 % of the radius, or within 60 degrees for a
-// disc tilted by more than 3 degrees.
+// Adds the contacts of a disc with the unit axis `axis`. Feature 0 is its deepest point. If the
+// disc is within 22.5 degrees of the plane, three rim points follow, 120 degrees apart, starting at
+// u (features 1 to 3). These points rotate with the body. A steeper disc rolls on its rim, and
+// therefore has only the deepest point. Rim points near the deepest point are left out: within 1 %
+// of the radius, or within 60 degrees for a disc tilted by more than 3 degrees.
 inline void add_plane_disc(Manifold& manifold, const Plane& plane, const Vec3f& center,
                            const Vec3f& u, const Vec3f& v, const Vec3f& axis, float radius) {
   const Vec3f deepest = deepest_of_rim(plane.normal, u, v, radius);
@@ -124,8 +125,8 @@ inline void add_plane_disc(Manifold& manifold, const Plane& plane, const Vec3f& 
   }
 }
 
-// Adds the lower cap, and the deepest point of the other cap (feature 4), the second end of the
-// generator on which the cylinder rolls.
+// Adds the lower cap, and the deepest point of the other cap (feature 4). This point is the second
+// end of the generator on which the cylinder rolls.
 inline Manifold plane_cylinder(const Plane& plane, const Transformf& cylinder, float radius,
                                float half_height) {
   const Vec3f u = math::rotate(cylinder.q, Vec3f{1.0f, 0.0f, 0.0f});
@@ -152,7 +153,7 @@ inline Manifold plane_cone(const Plane& plane, const Transformf& cone, float rad
   return manifold;
 }
 
-// Adds the deepest point.
+// Returns the contact of the deepest point.
 inline Manifold plane_ellipsoid(const Plane& plane, const Transformf& ellipsoid,
                                 const Vec3f& half_axes) {
   const Vec3f n = math::rotate_inverse(ellipsoid.q, plane.normal);
@@ -170,9 +171,10 @@ inline constexpr float kEquallyDeep = 1e-5f;     // of the size: on such a tie t
                                                  // counts
 inline constexpr float kSamePlanePoint = 1e-4f;  // of the size
 
-// Keeps up to four of the vertices of a hull or mesh that are nearly as deep as the deepest, by the
-// rule of reduce_contacts. Distances and areas are compared in the frame of the shape, so that a
-// resting shape keeps its vertices. `size` (m) is that of the shape. The feature is the vertex.
+// Returns up to four vertices of a hull or mesh that are nearly as deep as the deepest vertex, by
+// the rule of reduce_contacts. Distances and areas are compared in the frame of the shape, so that
+// a resting shape keeps its vertices. `size` (m) is the size of the shape. The feature is the index
+// of the vertex.
 inline Manifold plane_vertices(const Plane& plane, const Transformf& pose, const Vec3f* vertices,
                                int32_t count, float size, float reach) {
   const Vec3f n = math::rotate_inverse(pose.q, plane.normal);

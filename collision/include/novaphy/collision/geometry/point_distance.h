@@ -2,7 +2,7 @@
 // the surface at the nearest point. The nearest point is x - normal * distance. Frame of the shape,
 // m.
 //
-// For a mesh the sign is that of the angle-weighted normal of all triangles that meet in the
+// For a mesh the sign follows from the angle-weighted normal of all triangles that meet in the
 // nearest point, which is correct for closed meshes. Points beside a border are outside. Source: J.
 // A. Baerentzen, H. Aanaes, Signed Distance Computation Using the Angle Weighted Pseudonormal
 // (2005).
@@ -14,8 +14,8 @@
 
 namespace novaphy::geometry {
 
-inline constexpr float kFarAway = 1e30f;     // m, stands for a distance beyond the search range
-inline constexpr float kSameCorner = 1e-4f;  // of the triangle: nearer points count as one
+inline constexpr float kFarAway = 1e30f;     // m, represents a distance beyond the search range
+inline constexpr float kSameCorner = 1e-4f;  // of the triangle: nearer points count as one point
 inline constexpr float kOnSurface = 1e-6f;   // of the triangle: nearer points define no direction
 
 inline SolidPoint point_to_hull(const Vec3f& x, const HullView& hull) {
@@ -26,7 +26,8 @@ inline SolidPoint point_to_hull(const Vec3f& x, const HullView& hull) {
     const float above = math::dot(n, x - hull.vertices[hull.face_vertices[begin]]);
     if (above > deepest.distance) deepest = {above, n};
     if (!(above > 0.0f)) continue;
-    // For a point over a face the projection is nearest, else a point of an edge.
+    // The nearest point of a face is the projection of x if x is over the face, else a point of an
+    // edge.
     bool over = true;
     for (int32_t k = begin; k < end; ++k) {
       const Vec3f a = hull.vertices[hull.face_vertices[k]];
@@ -42,8 +43,9 @@ inline SolidPoint point_to_hull(const Vec3f& x, const HullView& hull) {
   return nearest.distance < kFarAway ? nearest : deepest;
 }
 
-// The point of a triangle nearest to x, and the angle that the triangle fills around it: 2 pi
-// inside, pi on an edge. `corner`: index of the corner that the point is, or -1.
+// The point of a triangle nearest to x, and the angle (rad) that the triangle fills around this
+// point: 2 pi inside, pi on an edge. `corner`: index of the corner if the point is a corner, else
+// -1.
 struct TrianglePoint {
   Vec3f point{};
   float angle = 0.0f;
@@ -51,7 +53,7 @@ struct TrianglePoint {
 };
 inline float angle_between(const Vec3f& u, const Vec3f& v) {
   const float c = math::dot(u, v) / (math::length(u) * math::length(v));
-  // acos to 1 %, which is sufficient for weights.
+  // An approximation of acos with an error of 1 %, which is sufficient for weights.
   const float a = math::sqrt(math::max(2.0f - 2.0f * math::abs(c), 0.0f));
   const float angle = a * (1.0f + a * a / 24.0f);
   return c < 0.0f ? 3.1415927f - angle : angle;
@@ -87,13 +89,14 @@ inline float square_outside(const Box3& box, const Vec3f& x) {
   return math::dot(d, d);
 }
 
-// Returns kFarAway for a point farther than `reach` (m) outside of the mesh's box. For a mesh with
-// a border, the box includes the region behind the mesh, up to the size of the mesh. `within` (m):
-// a known upper bound of the distance to the surface, which saves time.
+// Returns the signed distance and normal. Returns kFarAway for a point that is farther than `reach`
+// (m) outside of the mesh's box. For a mesh with a border, this box includes the region behind the
+// mesh, up to the size of the mesh. `within` (m): a known upper bound of the distance to the
+// surface, which saves time.
 inline SolidPoint point_to_mesh(const Vec3f& x, const MeshView& mesh, float reach,
                                 float within = kFarAway) {
   SolidPoint far{kFarAway, {0.0f, 0.0f, 1.0f}};
-  // The comparison is written so that a NaN counts as far.
+  // This form of the comparison treats a NaN as far.
   if (!(square_outside(mesh.behind, x) <= reach * reach)) return far;
   float least = kFarAway, tolerance = 0.0f;
   Vec3f nearest{}, normal{};

@@ -1,4 +1,4 @@
-// Writing the rows of rigid contacts, for the kernels of a search.
+// Writes the rows of rigid contacts, for the kernels of a search.
 #pragma once
 
 #include "novaphy/collision/geometry/rigid_shape.h"
@@ -6,7 +6,7 @@
 
 namespace novaphy {
 
-// The arrays that rows are written to.
+// The output arrays of the rows.
 struct RigidContactRows {
   NOVAPHY_ARGUMENTS(Number<int64_t> capacity;
                     Writes<int32_t> rigid_contact_shape0, rigid_contact_shape1;
@@ -16,8 +16,8 @@ struct RigidContactRows {
                     Writes<int32_t> rigid_contact_point_id;)
 };
 
-// The number of rows of each pair, and a scan over chunks of kScanChunk pairs. A scan of chunks is
-// short even if the list has room for many more pairs.
+// `counts`: the number of rows of each pair. `before`: the number of rows before each chunk of
+// kScanChunk pairs. A scan over chunks is short even if the list has room for many more pairs.
 inline constexpr int64_t kScanChunk = 32;
 struct PairRows {
   NOVAPHY_ARGUMENTS(Reads<int32_t> counts, before;)
@@ -31,14 +31,16 @@ inline int32_t rows_up_to(const PairRows& rows, int64_t pair) {
   return rows_before(rows, pair) + rows.counts[pair];
 }
 
-// The transforms into the frames of the owners of a pair's shapes.
+// The transforms from the world into the frames of the owners (bodies or the world) of a pair's
+// shapes.
 struct ToOwners {
   Transformf to0, to1;
 };
 inline ToOwners to_owners(const RigidShape& s0, const RigidShape& s1) {
   return {math::inverse(s0.owner), math::inverse(s1.owner)};
 }
-// Writes row `at` if it is below the capacity. The normal points from pair.x to pair.y.
+// Writes the row `at` unless it is beyond the capacity. The normal points from shape pair.x to
+// pair.y.
 inline void write_contact(const RigidContactRows& rows, int64_t at, const Vec2i& pair,
                           const RigidShape* shapes, const ToOwners& owners, const Vec3f& normal,
                           const geometry::ContactPoint& point) {

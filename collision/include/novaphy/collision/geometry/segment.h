@@ -1,6 +1,6 @@
-// Nearest points of two segments. Source: C. Ericson, Real-Time Collision Detection (2005), 5.1.9.
-// The second parameter follows from the first. If it leaves the segment, the first is computed
-// again from it.
+// Nearest points of two segments. The parameter t of the second segment follows from the parameter
+// s of the first. If t leaves its segment, t is clamped, and s is computed again from t. Source: C.
+// Ericson, Real-Time Collision Detection (2005), 5.1.9.
 #pragma once
 
 #include "novaphy/math/types.h"
@@ -17,14 +17,15 @@ inline float nearest_parameter(const Vec3f& p, const Vec3f& begin, const Vec3f& 
   return square > 0.0f ? math::clamp(math::dot(p - begin, edge) / square, 0.0f, 1.0f) : 0.0f;
 }
 
-// For parallel segments, returns any pair of nearest points.
+// Returns the nearest points. Parallel segments may have many pairs of nearest points. The function
+// then returns one pair.
 inline SegmentPoints nearest_of_segments(const Vec3f& a0, const Vec3f& a1, const Vec3f& b0,
                                          const Vec3f& b1) {
   const Vec3f u = a1 - a0, v = b1 - b0, n = math::cross(u, v);
   const float square = math::dot(n, n);
   SegmentPoints r;
-  // Parameter s of the common perpendicular, by the cross product. u.u v.v - (u.v)^2 would lose
-  // half of the digits for nearly parallel segments.
+  // Parameter s of the common perpendicular, computed by a cross product. The usual denominator u.u
+  // v.v - (u.v)^2 would lose half of the digits for nearly parallel segments.
   r.s = square > 0.0f ? math::clamp(math::dot(math::cross(b0 - a0, v), n) / square, 0.0f, 1.0f)
                       : 0.0f;
   r.t = nearest_parameter(a0 + u * r.s, b0, v);

@@ -1,10 +1,10 @@
 // A convex shape as a core and a radius, and the pose of one shape in the frame of another.
 //
-// The core of a sphere is its center and the core of a capsule its segment; both have a radius.
-// Every other shape is its own core with radius 0. The distance of two shapes is exactly the
-// distance of the cores minus the radii, also for penetration. `scale` (m) is Model::shape_scale
-// (core/sim/enums.h): half extents, or radius and half height along z, or half axes. The vertices
-// of a convex hull include the scale.
+// The core of a sphere is its center, and the core of a capsule is its segment. Both shapes have a
+// radius. Every other shape is its own core, with radius 0. The distance of two shapes is exactly
+// the distance of the cores minus the radii, also for a penetration. `scale` (m) is
+// Model::shape_scale (core/sim/enums.h): half extents, or radius and half height along z, or half
+// axes. The vertices of a convex hull include the scale.
 #pragma once
 
 #include "novaphy/collision/geometry/manifold.h"
@@ -13,14 +13,14 @@
 
 namespace novaphy::geometry {
 
-// The tables of a convex polytope. Faces are polygons, counter-clockwise seen from outside.
-// Neighbors of a vertex share an edge with it.
+// The tables of a convex polytope. Faces are polygons, counter-clockwise seen from outside. The
+// neighbors of a vertex are the vertices that share an edge with it.
 struct HullView {
   const Vec3f* vertices{};
   const Vec3f* face_normals{};   // unit, outward
-  const int32_t* face_starts{};  // faces + 1 into face_vertices
+  const int32_t* face_starts{};  // faces + 1 indices into face_vertices
   const int32_t* face_vertices{};
-  const int32_t* neighbor_starts{};  // vertices + 1 into neighbors; null: unknown
+  const int32_t* neighbor_starts{};  // vertices + 1 indices into neighbors; null: unknown
   const int32_t* neighbors{};
   int32_t vertex_count = 0;
   int32_t face_count = 0;
@@ -37,7 +37,7 @@ inline float core_radius(const Shape& shape) {
 }
 
 // Returns the pose of B in the frame of A. The positions are subtracted first, which keeps the
-// precision of pairs far from the origin.
+// precision of pairs far from the world's origin.
 inline Transformf relative_pose(const Transformf& a, const Transformf& b) {
   return {math::rotate_inverse(a.q, b.p - a.p), math::multiply(math::conjugate(a.q), b.q)};
 }
@@ -59,8 +59,8 @@ inline Vec3f apply_transposed(const Mat33f& r, const Vec3f& v) {
 struct ShapePair {
   const Shape* a;
   const Shape* b;
-  Mat33f rotation;  // of B in A
-  Vec3f offset;     // of B in A
+  Mat33f rotation;  // of B in the frame of A
+  Vec3f offset;     // of B in the frame of A (m)
 };
 inline ShapePair shape_pair(const Shape& a, const Shape& b, const Transformf& b_in_a) {
   return {&a, &b, rotation_matrix(b_in_a.q), b_in_a.p};
@@ -69,7 +69,7 @@ inline Vec3f from_b(const ShapePair& pair, const Vec3f& point) {
   return apply(pair.rotation, point) + pair.offset;
 }
 
-// Numbers beyond 1e30 count as not finite, because their squares overflow.
+// A value beyond 1e30 counts as not finite, because its square overflows.
 inline bool is_finite(float x) { return math::abs(x) < 1e30f; }
 inline bool is_finite(const Vec3f& v) { return is_finite(v.x) && is_finite(v.y) && is_finite(v.z); }
 inline bool is_finite(const ShapePair& pair) {
@@ -83,8 +83,8 @@ inline float component(const Vec3f& v, int32_t i) { return i == 0 ? v.x : i == 1
 inline Vec3f unit_axis(int32_t i, float length) {
   return {i == 0 ? length : 0.0f, i == 1 ? length : 0.0f, i == 2 ? length : 0.0f};
 }
-// Returns a unit vector perpendicular to v, which may have any length: the cross product with the
-// axis of v's smallest component.
+// Returns a unit vector perpendicular to v, which may have any length. The result is the cross
+// product with the axis of v's smallest component.
 inline Vec3f any_orthogonal(const Vec3f& v) {
   const float x = math::abs(v.x), y = math::abs(v.y), z = math::abs(v.z);
   const int32_t least = x <= y && x <= z ? 0 : y <= z ? 1 : 2;

@@ -1,13 +1,15 @@
-// A sphere against sphere, capsule, box, cylinder and cone, in closed form: the signed distance of
-// the center to the solid, minus the radius. One contact.
+// Contacts of a sphere with a sphere, capsule, box, cylinder or cone, in closed form. The distance
+// is the signed distance of the sphere's center to the other solid, minus the radius. A pair has
+// one contact.
 //
-// A solid of revolution is reduced to its cross section in the half plane through the center (rho,
-// z): a rectangle or a triangle. Inside, the nearest face counts.
+// A solid of revolution is reduced to its cross section, a rectangle or a triangle. The cross
+// section lies in the half plane (rho, z) through the sphere's center. For a center inside of the
+// solid the nearest face counts.
 //
-// If the nearest point is not unique, the choice is fixed. For coinciding centers, and for a center
-// on the segment of a capsule, the normal is +x. Inside of a box the face of the lowest axis is
-// chosen, on the + side at 0. On the axis of a cylinder or cone the side towards +x is chosen, and
-// the cap on a tie of side and cap.
+// If the nearest point is not unique, the choice is fixed. If both centers coincide, or the center
+// lies on the segment of a capsule, the normal is +x. Inside of a box the face of the lowest axis
+// is chosen, on the + side at 0. On the axis of a cylinder or cone the side towards +x is chosen.
+// If side and cap are equally near, the cap is chosen.
 //
 // Frame of the solid (m), which is B. A is the sphere, and the normal points from A to B.
 #pragma once
@@ -74,7 +76,7 @@ inline SolidPoint point_to_core(const Vec3f& x, const Shape& solid) {
   }
 }
 
-// A is a sphere, and B has a closed-form distance. Frame of A.
+// Returns the contact of a sphere A and a solid B with a closed-form distance. Frame of A.
 inline Manifold collide_sphere(const ShapePair& pair, float gap) {
   const Vec3f center = apply_transposed(pair.rotation, -pair.offset);
   const SolidPoint p = point_to_core(center, *pair.b);

@@ -1,11 +1,11 @@
-// Support functions: the point of a convex core (shape.h) that is farthest in a direction, and the
-// same for the Minkowski difference A - B of a pair. The difference contains the origin if the
-// cores overlap.
+// Support functions: the point that is farthest in a direction, for a convex core (shape.h) and for
+// the Minkowski difference A - B of a pair. The difference contains the origin if the cores
+// overlap.
 //
-// Directions may have any length. If several points are farthest, the same direction always gives
-// the same point. For polytopes with more than 32 vertices, the search climbs from neighbor to
-// neighbor: a vertex of a convex polytope without a higher neighbor is the highest. Source: C.
-// Ericson, Real-Time Collision Detection (2005), 9.5.
+// Directions may have any length. If several points are equally far, the same direction always
+// gives the same point. For a polytope with more than 32 vertices, the search moves from neighbor
+// to neighbor: a vertex without a farther neighbor is the farthest. Source: C. Ericson, Real-Time
+// Collision Detection (2005), 9.5.
 #pragma once
 
 #include "novaphy/collision/geometry/shape.h"
@@ -40,7 +40,7 @@ inline int32_t hull_support_vertex(const HullView& hull, const Vec3f& d) {
   return best;
 }
 
-// Returns the horizontal part of d, scaled to a length; zero on the axis.
+// Returns the horizontal part of d, scaled to `length`. The result is zero if d is along the axis.
 inline Vec3f radial(const Vec3f& d, float length) {
   const float rho = math::sqrt(d.x * d.x + d.y * d.y);
   if (!(rho > 0.0f)) return {};
@@ -81,7 +81,7 @@ NOVAPHY_OUT_OF_LINE Vec3f core_support(const Shape& shape, const Vec3f& d) {
   }
 }
 
-// A point of the Minkowski difference, and the points of A and B behind it, in the frame of A.
+// A point of the Minkowski difference, and the points of A and B that give it, in the frame of A.
 struct SupportPoint {
   Vec3f w, a, b;  // w = a - b
 };
@@ -91,8 +91,8 @@ inline SupportPoint support_point(const ShapePair& pair, const Vec3f& d) {
   return {a - b, a, b};
 }
 
-// Returns the separation of the shapes along the unit vector n from A to B (m). This value is a
-// lower bound of the signed distance, and equal to it for the best n.
+// Returns the separation of the shapes along the unit vector n from A to B (m). The separation is a
+// lower bound of the signed distance. The largest separation over all n equals this distance.
 inline float separation_along(const ShapePair& pair, const Vec3f& n) {
   return (-math::dot(support_point(pair, n).w, n) - core_radius(*pair.a)) - core_radius(*pair.b);
 }

@@ -1,4 +1,4 @@
-// Internal: the versions of the model arrays that a result was computed from.
+// Internal: the versions of the model arrays from which a result was computed.
 #pragma once
 
 #include <array>
@@ -13,8 +13,8 @@ class ArrayVersions {
  public:
   using Arrays = std::array<const Array*, N>;
 
-  // Returns whether the arrays are unchanged. The answer is false for an array that was ever
-  // exported, because it can change without a new version.
+  // Returns whether the arrays are unchanged. The result is false if an array was ever exported,
+  // because an exported array can change without a new version.
   bool match(const Arrays& arrays) const {
     for (size_t k = 0; k < N; ++k) {
       const auto& range = arrays[k]->range();

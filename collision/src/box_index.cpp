@@ -8,7 +8,7 @@
 namespace novaphy::detail {
 namespace {
 
-constexpr float kLong = 8.0f;  // times the mean length: longer boxes are kept apart
+constexpr float kLong = 8.0f;  // times the mean length: longer boxes get a separate list
 
 }  // namespace
 
@@ -29,7 +29,7 @@ void BoxIndex::build(std::span<const int32_t> members, std::span<const RigidShap
     const Vec3f size = box.hi - box.lo;
     return std::max({size.x, size.y, size.z});
   };
-  // Two passes, because a ground makes the first mean too large.
+  // Two passes, because very long boxes such as a ground make the first mean too large.
   for (int pass = 0; pass < 2; ++pass) {
     length = 0.0;
     for (const Entry& one : entries_) length += static_cast<double>(longest_side(one.box));
@@ -48,7 +48,7 @@ void BoxIndex::build(std::span<const int32_t> members, std::span<const RigidShap
     one.begin = along(one.box.lo);
     longest_ = std::max(longest_, along(one.box.hi) - one.begin);
   }
-  // Rounding of the ends may shorten a box by this much.
+  // Rounding of the ends may shorten a box by the added length.
   float farthest = 0.0f;
   for (const Entry& one : entries_) farthest = std::max(farthest, std::abs(one.begin));
   longest_ += 1.0e-6f * (farthest + longest_);

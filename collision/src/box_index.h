@@ -1,6 +1,6 @@
-// Internal: an index of boxes that do not move, which finds the boxes that overlap a given one.
+// Internal: an index of boxes that do not move. A query finds the boxes that overlap a given box.
 // Shapes are sorted along an axis within their world. Boxes that are much longer than the others,
-// such as a ground, are kept in a separate list that every query tests.
+// for example a ground, are kept in a separate list that every query tests.
 #pragma once
 
 #include <cstdint>
@@ -13,11 +13,11 @@ namespace novaphy::detail {
 
 class BoxIndex {
  public:
-  // `world`: world of every shape of the model; -1: all worlds. A box with a NaN overlaps nothing.
+  // `world`: world of every shape of the model; -1: all worlds. A box with a NaN overlaps no box.
   void build(std::span<const int32_t> members, std::span<const RigidShape> shapes,
              std::span<const int32_t> world);
   size_t size() const { return entries_.size() + apart_.size(); }
-  // Calls visit(shape) for the members of compatible worlds whose box overlaps this one.
+  // Calls visit(shape) for the members of compatible worlds whose box overlaps `box`.
   template <class Visit>
   void visit_meeting(const geometry::Box3& box, int32_t world, const Visit& visit) const {
     for (const Entry& one : apart_)
@@ -50,7 +50,7 @@ class BoxIndex {
   float along(const Vec3f& v) const { return axis_ == 0 ? v.x : axis_ == 1 ? v.y : v.z; }
 
   int axis_ = 0;
-  float longest_ = 0.0f;  // m, longest entry along the axis, plus rounding
+  float longest_ = 0.0f;  // m, length of the longest entry along the axis, plus rounding
   std::vector<Entry> entries_, apart_;
   std::vector<Segment> segments_;
 };

@@ -12,7 +12,8 @@ namespace {
 
 using geometry::Box3;
 
-// Sorts the pairs that `visit_all` reports, by their smaller shape and then by the larger one.
+// Returns the pairs that `visit_all` reports, sorted by their smaller shape and then by the larger
+// one.
 template <class VisitAll>
 std::vector<Vec2i> sorted_pairs(const char* function, size_t shapes, int64_t limit,
                                 VisitAll visit_all) {
@@ -44,8 +45,8 @@ void check_boxes(const char* function, std::span<const Box3> boxes, const ShapeP
 
 bool meets_itself(const Box3& box) { return boxes_meet(box, box); }  // false for NaN or lo > hi
 
-// Insertion sort for a nearly sorted list. After a few moves per item std::sort takes over. The
-// order is total, so both give the same result.
+// Insertion sort for a nearly sorted list. If more than a few moves per item are needed, std::sort
+// takes over. The order is total, so that both sorts give the same result.
 template <class Before>
 void sort_again(std::vector<int32_t>& order, Before before) {
   size_t moves = 8 * order.size();
@@ -105,7 +106,7 @@ std::vector<Vec2i> SweepAndPrune::box_pairs(std::span<const Box3> boxes,
   }
   const int axis = detail::sweep_axis(boxes, [](const Box3& box) -> const Box3& { return box; });
   auto box = [&](int32_t i) -> const Box3& { return boxes[static_cast<size_t>(i)]; };
-  auto lower = [&](int32_t i) {  // boxes without overlap come last
+  auto lower = [&](int32_t i) {  // boxes that overlap no box come last
     return meets_itself(box(i)) ? geometry::component(box(i).lo, axis)
                                 : std::numeric_limits<float>::infinity();
   };
@@ -114,7 +115,7 @@ std::vector<Vec2i> SweepAndPrune::box_pairs(std::span<const Box3> boxes,
     return x != y ? x < y : a < b;
   });
 
-  // The sorted shapes of each world, and those of all worlds.
+  // The sorted shapes of each world, and of all worlds (-1).
   std::vector<int32_t> worlds(rules.world.begin(), rules.world.end());
   for (int32_t& w : worlds) w = std::max(w, -1);
   std::vector<int32_t> by_world;

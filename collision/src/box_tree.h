@@ -1,5 +1,6 @@
-// A tree of boxes, for many small boxes that move. The tree splits the boxes once, at the median of
-// their places. Later calls only fit the boxes of its nodes, so neighbors should stay neighbors.
+// A tree of boxes, for many small boxes that move. The tree is split once, at the median of the
+// boxes' positions. Later calls only recompute the boxes of the nodes. The tree stays efficient if
+// neighboring boxes stay neighbors.
 #pragma once
 
 #include <algorithm>
@@ -20,7 +21,7 @@ inline geometry::Box3 united(const geometry::Box3& a, const geometry::Box3& b) {
 
 class BoxTree {
  public:
-  // `places`: a point of each box. `worlds`: of each box. A world of -1 belongs to all worlds.
+  // `places`: a point of each box. `worlds`: the world of each box; -1: all worlds.
   void build(std::span<const Vec3f> places, std::span<const int32_t> worlds) {
     nodes_.clear();
     std::vector<int32_t> items(places.size());
@@ -34,8 +35,8 @@ class BoxTree {
                                 : united(nodes_[k + 1].box, nodes_[nodes_[k + 1].end].box);
     }
   }
-  // Calls body(index) for each box of the same world that meets `box`, from the index `first` on,
-  // in no particular order.
+  // Calls body(index) for each box of a compatible world that overlaps `box` and has at least the
+  // index `first`. The order of the calls is not defined.
   template <class Body>
   void visit(const geometry::Box3& box, int32_t world, int32_t first, const Body& body) const {
     for (size_t k = 0; k < nodes_.size();) {
@@ -53,13 +54,13 @@ class BoxTree {
  private:
   struct Node {
     geometry::Box3 box{};
-    int32_t world = -1;  // of all boxes below; -1: several
-    int32_t last = 0;    // the largest index below
+    int32_t world = -1;  // of all boxes in the subtree; -1: several
+    int32_t last = 0;    // largest index in the subtree
     int32_t item = -1;   // of a leaf
-    size_t end = 0;      // the first node that is not below
+    size_t end = 0;      // first node after the subtree
   };
 
-  // Adds the node of some items, and the nodes below it.
+  // Adds the node of some items, and its subtree.
   void split(std::span<const Vec3f> places, std::span<const int32_t> worlds,
              std::span<int32_t> items) {
     const auto world_of = [&](int32_t i) { return worlds[static_cast<size_t>(i)]; };
@@ -90,7 +91,7 @@ class BoxTree {
     nodes_[number].end = nodes_.size();
   }
 
-  std::vector<Node> nodes_;  // a node is before the nodes below it
+  std::vector<Node> nodes_;  // a node comes before its descendants
 };
 
 }  // namespace novaphy::detail

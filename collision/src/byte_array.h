@@ -1,5 +1,5 @@
-// Internal: memory for rows of a struct that is not an element type of arrays. Kernel arguments
-// take it as Untyped.
+// Internal: memory for rows of a struct that is not an element type of arrays. Kernels take this
+// memory as arguments of the type Untyped.
 #pragma once
 
 #include "novaphy/core/device_array.h"

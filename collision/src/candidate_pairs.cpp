@@ -14,12 +14,12 @@ CandidatePairs make_candidate_pairs(const Model& model) {
   const std::vector<int32_t> flags = model.shape_flags.to_host(),
                              shape_world = model.shape_world.to_host(),
                              particle_world = model.particle_world.to_host();
-  // The particles of each world, and those of all worlds (-1).
+  // The particles of each world, and the particles of all worlds (-1).
   std::map<int32_t, std::vector<int32_t>> of_world;
   for (size_t p = 0; p < particle_world.size(); ++p)
     of_world[std::max(particle_world[p], -1)].push_back(static_cast<int32_t>(p));
   const std::vector<int32_t> everywhere = of_world[-1];
-  // The particles for shapes of a world, merged once per world.
+  // The particles that shapes of a world may touch, merged once for each world.
   std::map<int32_t, std::vector<int32_t>> met;
   const auto particles_met = [&](int32_t world) -> const std::vector<int32_t>& {
     const auto [at, is_new] = met.try_emplace(std::max(world, -1));

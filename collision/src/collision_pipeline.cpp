@@ -21,7 +21,7 @@ void check_margin(const char* what, float margin) {
           ": soft_contact_margin: expected a finite number >= 0, got ", margin);
 }
 
-// Sorts the pairs in ascending order, each once, with the smaller shape first.
+// Sorts the pairs in ascending order, with the smaller shape first, and removes duplicates.
 void order_pairs(std::vector<Vec2i>& pairs, const Model& model) {
   constexpr const char* name = "CollisionPipeline: shape_pairs_filtered";
   const std::vector<int32_t> body = model.shape_body.to_host();

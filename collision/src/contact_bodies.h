@@ -1,4 +1,4 @@
-// Internal: the device source of the kernel in contact_body_kernels.h.
+// Internal: the source code of the device kernel in contact_body_kernels.h.
 #pragma once
 
 namespace novaphy::detail {

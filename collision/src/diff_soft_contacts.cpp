@@ -143,7 +143,7 @@ void WorldRows::check_shapes(const Model& model) {
   if (covered_type_.matches(model.shape_type) && covered_flags_.matches(model.shape_flags) &&
       covered_body_.matches(model.shape_body))
     return;
-  // A capture does not record the model, so these host reads are allowed in a capture too.
+  // A capture does not record the model, so that these host reads are allowed in a capture, too.
   const UntrackedScope untracked;
   shapes_ = detail::check_static_shapes(model);
   covered_type_.set(model.shape_type);
@@ -163,7 +163,7 @@ void WorldRows::update(const Model& model, bool with_shapes) {
   std::vector<int32_t> world;
   CandidatePairs pairs;
   {
-    // A capture does not record the model, so these host reads are allowed in a capture too.
+    // A capture does not record the model, so that these host reads are allowed in a capture, too.
     const UntrackedScope untracked;
     world = model.particle_world.to_host();
     if (with_shapes) pairs = make_candidate_pairs(model);
@@ -277,7 +277,8 @@ Vec3<Real> static_shape_term(TraceContext& c, Worlds worlds, Shapes shapes, cons
   const Bool collides =
       (flags & Int(static_cast<int32_t>(ShapeFlags::COLLIDE_PARTICLES))) != Int(0);
   const Bool world_owned = c.i32(c.source("shape_body"), shape, 0) < Int(0);
-  // A NaN position fails every comparison, so it is passed on and reaches the force, as in the law.
+  // A NaN position fails every comparison. The contact then counts as detected, so that the NaN
+  // reaches the force, as in the law.
   const Bool lost = contact.point.x != contact.point.x;
   const Bool detected = either(
       lost, contact.distance < (c.param(first_param + 6) + of_shape("shape_margin")) + radius);

@@ -21,7 +21,7 @@ int32_t FclContacts::ask(const RigidShape& s0, const RigidShape& s1, int32_t cou
                          int32_t per_pair, geometry::Manifold& kept) {
   using namespace geometry;
   const Transformf relative = relative_pose(s0.pose, s1.pose);
-  const Shape a = convex_shape(s0), b = convex_shape(s1);  // the pair has pointers to both
+  const Shape a = convex_shape(s0), b = convex_shape(s1);  // `pair` points to both shapes
   const ShapePair pair = shape_pair(a, b, relative);
   if (!is_finite(pair)) return count;
   float deepest = 0.0f;
@@ -29,14 +29,14 @@ int32_t FclContacts::ask(const RigidShape& s0, const RigidShape& s1, int32_t cou
   const auto found = hull_of(s0).penetration(hull_of(s1), relative);
   if (!found && deepest >= 0.0f) return count;  // both methods find no overlap
   ++pairs_;
-  constexpr float kTolerance = 1e-4f;  // of the size
+  constexpr float kTolerance = 1e-4f;  // of the size of the pair
   const auto size = [](const RigidShape& s) {
     return math::length(s.geometry->box.hi - s.geometry->box.lo);
   };
   const float tolerance = kTolerance * (size(s0) + size(s1));
   const float depth = found ? static_cast<float>(found->depth) : 0.0f;
   const Vec3f n = found ? found->normal : Vec3f{};
-  // The comparisons are written so that NaN fails.
+  // This form of the comparisons excludes NaN.
   const bool good = found && math::abs(math::length(n) - 1.0f) <= 1e-3f &&
                     math::abs(separation_along(pair, n) + depth) <= tolerance &&
                     math::abs(depth + deepest) <= tolerance;

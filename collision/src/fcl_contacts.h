@@ -1,4 +1,4 @@
-// Internal: uses FCL for pairs of convex hulls in place of the engine's narrow phase
+// Internal: computes contacts of convex hulls with FCL in place of the engine's narrow phase
 // (NarrowPhase::Fcl).
 #pragma once
 
@@ -12,14 +12,15 @@ namespace novaphy::detail {
 
 class FclContacts {
  public:
-  // Drops cached hulls if the tables have another version.
+  // Drops the cached hulls if the version of the tables has changed.
   void use_tables(uint64_t version);
-  // Replaces the rows of two hulls with overlapping boxes by FCL's result. `kept`: the `count` rows
-  // of the engine's narrow phase, written only if count > 0. Returns the new number of rows.
+  // Replaces the rows of two hulls with overlapping boxes by FCL's result. On entry `kept` has the
+  // `count` rows of the engine's narrow phase, and is not initialized if count is 0. Returns the
+  // new number of rows.
   int32_t ask(const RigidShape& s0, const RigidShape& s1, int32_t count, int32_t per_pair,
               geometry::Manifold& kept);
 
-  // Counts so far: overlapping pairs, and pairs whose FCL result was rejected.
+  // Counts since the start: overlapping pairs, and pairs whose FCL result was rejected.
   int64_t pairs() const { return pairs_; }
   int64_t fallbacks() const { return fallbacks_; }
 

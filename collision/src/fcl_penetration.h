@@ -1,9 +1,9 @@
-// Internal: penetration of convex hulls by FCL's libccd solver, in double precision. Exists only in
-// builds with NOVAPHY_WITH_FCL; other builds never make a hull.
+// Internal: penetration of convex hulls by FCL's libccd solver, in double precision. Other builds
+// than those with NOVAPHY_WITH_FCL never make a hull.
 //
-// The only call is GJKSolver_libccd::shapeIntersect on Convex, because FCL's signed distance and
-// planes abort the process for some poses. The call may throw, which counts as no result, and may
-// return a zero normal. The call checks nothing, so poses must be finite.
+// The only call is GJKSolver_libccd::shapeIntersect on Convex. FCL's signed distance and planes
+// abort the process for some poses. The call may throw, which counts as no result, and may return a
+// zero normal. The call does not check its inputs, so poses must be finite.
 #pragma once
 
 #include <memory>
@@ -13,9 +13,9 @@
 
 namespace novaphy::detail {
 
-bool has_fcl();  // NOVAPHY_WITH_FCL
+bool has_fcl();  // whether the build has NOVAPHY_WITH_FCL
 
-// A hull in FCL's format. Copies the tables, which must be in host memory.
+// A hull in FCL's format: a copy of the tables, which must be in host memory.
 class FclHull {
  public:
   explicit FclHull(const geometry::HullView& hull);
@@ -23,11 +23,11 @@ class FclHull {
   FclHull(FclHull&&) noexcept;
 
   struct Penetration {
-    Vec3f normal;  // from the first hull to the second, unchecked
+    Vec3f normal;  // unit vector from the first hull to the second, not checked
     double depth;  // m
   };
-  // Returns nothing if FCL finds no overlap or throws. The second hull is in the frame of the
-  // first.
+  // Returns the penetration, or nothing if FCL finds no overlap or throws. `other_in_this` is the
+  // pose of the second hull in the frame of the first.
   std::optional<Penetration> penetration(const FclHull& other,
                                          const Transformf& other_in_this) const;
 

@@ -40,7 +40,8 @@ void check(std::span<const Vec3f> vertices, std::span<const int32_t> indices) {
             " (exclusive), got ", indices[i]);
 }
 
-// Returns the items [0, count) as rows by their keys, which are less than `keys`.
+// Returns the items 0 to count - 1 as rows of IndexRows: row r has the items with key r. Keys are
+// less than `keys`.
 template <class KeyOf>
 IndexRows rows_by(size_t keys, size_t count, KeyOf key_of) {
   std::vector<int32_t> all(count);
@@ -50,14 +51,15 @@ IndexRows rows_by(size_t keys, size_t count, KeyOf key_of) {
   return rows;
 }
 
-// Side k goes from a corner of triangle k / 3 to the next corner.
+// Returns a vertex index. Side k of the mesh goes from a corner of triangle k / 3 to the next
+// corner.
 int32_t corner_of(const MeshTree& tree, size_t triangle, size_t corner) {
   const Vec3i& t = tree.triangles[triangle];
   return corner % 3 == 0 ? t.x : corner % 3 == 1 ? t.y : t.z;
 }
 
 void set_rings(MeshTree& tree) {
-  // Each corner has both other corners of its triangle as neighbors.
+  // The neighbors of a corner are both other corners of its triangle.
   const auto from = [&](size_t k) { return corner_of(tree, k / 6, k / 2 % 3); };
   const auto to = [&](size_t k) { return corner_of(tree, k / 6, k / 2 % 3 + 1 + k % 2); };
   const IndexRows rows = rows_by(tree.vertices.size(), 6 * tree.triangles.size(), from);
@@ -75,11 +77,11 @@ void set_rings(MeshTree& tree) {
 
 struct Side {
   int32_t a, b, triangle, corner;  // a, b: in the orientation of the triangle
-  bool is_empty;                   // side of a triangle without area
+  bool is_empty;                   // a side of a triangle without area
 };
 
-// Returns the sides, sorted so that sides of the same edge are consecutive, with those of triangles
-// with area first.
+// Returns the sides. Sides of the same edge are consecutive, and those of triangles with area come
+// first.
 std::vector<Side> sorted_sides(const MeshTree& tree) {
   const auto side = [&](size_t k) {
     const size_t t = k / 3, corner = k % 3;
@@ -102,7 +104,8 @@ std::vector<Side> sorted_sides(const MeshTree& tree) {
 }
 
 // Finds the edges. If more than two triangles meet in an edge, or two with opposite orientations,
-// each has a border. Triangles without area have no edges, and their neighbors are marked unclear.
+// each triangle gets a border edge. Triangles without area have no edges, and their neighbors are
+// marked unclear.
 void set_edges(MeshTree& tree) {
   constexpr float kConvexSine = 1e-3f;
   const std::vector<Side> sides = sorted_sides(tree);
@@ -144,8 +147,8 @@ void set_edges(MeshTree& tree) {
   }
 }
 
-// Builds the tree. The triangles are sorted once along each axis. Every node splits the three
-// sorted lists, and the list by index, in two.
+// Builds the tree. The triangles are sorted once along each axis. Every node divides the three
+// sorted lists, and the list by index, into two parts.
 class Builder {
  public:
   explicit Builder(MeshTree& tree) : tree_(tree), is_left_(tree.triangles.size()) {
@@ -176,8 +179,8 @@ class Builder {
             static_cast<double>(geometry::component(box.hi, axis))) *
            0.5;
   }
-  // Returns the triangles sorted by their centers along an axis, then by index. A radix sort on
-  // float keys comes first, and exact centers decide ties.
+  // Returns the triangles sorted by their centers along an axis, and then by index. A radix sort on
+  // float keys comes first. If keys are equal, the exact centers decide.
   std::vector<int32_t> sorted_along(int axis) const {
     struct Item {
       uint32_t key;
@@ -224,7 +227,7 @@ class Builder {
     }
     return best;
   }
-  // Moves the items of the left half to the front; both halves keep their order.
+  // Moves the items of the left half to the front. Both halves keep their order.
   void part(std::vector<int32_t>& list, size_t begin, size_t end) {
     size_t left = begin;
     right_.clear();
@@ -237,7 +240,8 @@ class Builder {
     }
     std::copy(right_.begin(), right_.end(), list.begin() + static_cast<std::ptrdiff_t>(left));
   }
-  // Adds the node of order[begin .. end) and its subtree. The recursion depth is logarithmic.
+  // Adds the node of order[begin .. end) and its subtree. The depth of the recursion is
+  // logarithmic.
   void add(size_t begin, size_t end) {
     const size_t node = tree_.nodes.size();
     const bool leaf = end - begin <= kLeafTriangles;
@@ -271,8 +275,8 @@ class Builder {
   std::vector<int32_t> right_;
 };
 
-// Sets the box of the mesh. For a mesh with a border, the box extends behind the triangles by the
-// size of the mesh.
+// Sets the box of the points in or behind the mesh. If the mesh has a border, the box extends
+// behind the triangles by the size of the mesh.
 void set_behind(MeshTree& tree) {
   Box3& box = tree.behind;
   box = tree.nodes[0].box;

@@ -21,8 +21,8 @@ constexpr size_t kNamed = 5;       // pairs listed in a message
 
 using Pair = std::pair<int32_t, int32_t>;
 
-// Returns for each body a representative body of its mechanism, the same for all bodies that joints
-// connect.
+// Returns for each body a representative body of its mechanism. All bodies that joints connect have
+// the same representative.
 std::vector<int32_t> mechanisms(const Model& m) {
   std::vector<int32_t> up(static_cast<size_t>(m.body_count()));
   std::iota(up.begin(), up.end(), 0);
@@ -40,7 +40,7 @@ std::vector<int32_t> mechanisms(const Model& m) {
   return up;
 }
 
-// Returns whether two bodies have their initial relative pose.
+// Returns whether two bodies have the same relative pose as in Model::body_q.
 bool at_start(const Model& m, const Transformf* q, int32_t a, int32_t b) {
   const Transformf* const first = m.body_q.data();
   const Transformf now = math::multiply(math::inverse(q[a]), q[b]);

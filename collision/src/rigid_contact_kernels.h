@@ -1,7 +1,7 @@
-// The kernels of the search for rigid contacts. Shapes are moved to the world, and every candidate
-// pair computes its manifold. A scan of the counts gives the first row of each pair, and the pairs
-// write their rows. With more rows than slots, pairs keep the rows within a common fraction of
-// their gaps. collision_pipeline.h defines a contact.
+// The kernels of the search for rigid contacts (see collision_pipeline.h). Shapes are transformed
+// to the world frame, and every candidate pair computes its manifold. A scan of the counts gives
+// the first row of each pair, and the pairs write their rows. If more rows than slots exist, pairs
+// keep only the rows within a common fraction of their gaps.
 #pragma once
 
 #include "novaphy/collision/geometry/collide.h"
@@ -13,8 +13,8 @@
 
 namespace novaphy {
 
-// Returns an upper bound of the extent of the shape from its origin (for a hull or mesh: the middle
-// of its box) along a unit vector in its own frame.
+// Returns an upper bound of the extent of the shape (m) from its origin along a unit vector in its
+// frame. For a hull or mesh the extent is measured from the middle of its box.
 inline float reach_along(const RigidShape& shape, const Vec3f& axis) {
   const float x = math::abs(axis.x), y = math::abs(axis.y), z = math::abs(axis.z);
   if (shape.geometry != nullptr) {
@@ -31,10 +31,10 @@ inline float reach_along(const RigidShape& shape, const Vec3f& axis) {
   return 1.0e6f;  // plane
 }
 
-// Returns the shape's part of the distance at which points may touch within a step of dt: twice the
-// path of the shape's points, plus kMoreSpeed (m/s) dt for velocity changes in the step. Both parts
-// are slightly larger than the limits of the solvers (dynamics/articulation/islands.h), so that
-// solvers solve the same rows.
+// Returns the shape's part of the distance at which points may touch within a step of dt. The part
+// is twice the path of the shape's points, plus kMoreSpeed (m/s) dt for velocity changes in the
+// step. Both terms are slightly larger than the limits of the solvers
+// (dynamics/articulation/islands.h), so that the solvers get all rows that they solve.
 inline constexpr float kMoreSpeed = 2.1f;
 inline float step_gap(const RigidShape& shape, const SpatialVectorf& twist, const Vec3f& arm,
                       float dt) {
@@ -47,8 +47,8 @@ inline float step_gap(const RigidShape& shape, const SpatialVectorf& twist, cons
   return (2.0f * speed + kMoreSpeed) * dt;
 }
 
-// For types in order: whether one is a mesh and the other a convex shape or a mesh, a case of
-// rigid_mesh_kernels.h.
+// Returns whether rigid_mesh_kernels.h handles a pair: a mesh with a convex shape or another mesh.
+// Requires a <= b.
 inline bool is_mesh_pair(GeoType a, GeoType b) {
   return a == GeoType::MESH || (b == GeoType::MESH && a != GeoType::PLANE);
 }
@@ -59,8 +59,8 @@ struct RigidContactShapeArguments {
                     Detached<Reads<float>> shape_margin, shape_gap;
                     Detached<Reads<Transformf>> body_q; Detached<Reads<SpatialVectorf>> body_qd;
                     Detached<Reads<Vec3f>> body_com; Detached<Reads<float>> shape_material_ka;
-                    Number<float> dt;            // step that the rows are for; 0: any
-                    ReadsRow<int32_t> geometry;  // rows of `views`, or -1
+                    Number<float> dt;            // s, step that the rows are for; 0: no limit
+                    ReadsRow<int32_t> geometry;  // row of `views`, or -1
                     Reads<geometry::GeometryView> views; Writes<RigidShape> shapes;)
 };
 NOVAPHY_ROW_KERNEL(rigid_contact_shape, RigidContactShapeArguments) {
@@ -83,11 +83,11 @@ NOVAPHY_ROW_KERNEL(rigid_contact_shape, RigidContactShapeArguments) {
   if (a.dt.value > 0.0f) {
     const SpatialVectorf twist = body < 0 ? SpatialVectorf{} : a.body_qd[body];
     const Vec3f com = body < 0 ? center : math::transform_point(shape.owner, a.body_com[body]);
-    // Adhesion acts up to the distance ka.
+    // Adhesion acts up to the distance shape_material_ka (m).
     shape.row_gap = math::min(
         shape.gap, step_gap(shape, twist, center - com, a.dt.value) + a.shape_material_ka[row]);
   }
-  // The boxes grow by rounding, so that touching shapes always overlap.
+  // The boxes grow by more than the rounding errors, so that touching shapes always overlap.
   const float beyond = (shape.margin + shape.row_gap) + 1.0e-4f;
   const Vec3f grow = {
       beyond + reach_along(shape, math::rotate_inverse(shape.pose.q, Vec3f{1.0f, 0.0f, 0.0f})),
@@ -96,8 +96,8 @@ NOVAPHY_ROW_KERNEL(rigid_contact_shape, RigidContactShapeArguments) {
   shape.box = {center - grow, center + grow};
 }
 
-// Returns the manifold of a pair with a.type <= b.type in the world frame. Points beyond `reach`
-// (m) may be missing.
+// Returns the manifold of a pair with a.type <= b.type in the world frame. Points whose distance
+// exceeds `reach` (m) may be missing.
 inline geometry::Manifold rigid_manifold(const RigidShape& a, const RigidShape& b, float reach) {
   using namespace geometry;
   if (a.type != GeoType::PLANE)
@@ -116,7 +116,8 @@ inline geometry::Manifold rigid_manifold(const RigidShape& a, const RigidShape& 
                         math::length(solid.box.hi - solid.box.lo), reach);
 }
 
-// Keeps the points of a manifold that are rows: at most `per_pair` for a pair without a plane.
+// Keeps the points of a manifold that become rows. A pair without a plane has at most `per_pair`
+// rows.
 inline void keep_rows(const RigidShape& s0, const RigidShape& s1, const geometry::Manifold& all,
                       int64_t per_pair, geometry::Manifold& kept) {
   const bool reduces = s0.type != GeoType::PLANE && all.count > per_pair;
@@ -128,7 +129,7 @@ inline void keep_rows(const RigidShape& s0, const RigidShape& s1, const geometry
   kept.count = 0;
   for (int32_t k = 0; k < found.count; ++k) {
     const CorePoints core = core_points(s0, s1, kept.normal, found.points[k]);
-    // The comparison is written so that NaN is not a contact.
+    // This form of the comparison excludes NaN.
     if (math::dot(core.b - core.a, kept.normal) - inside <= s0.row_gap + s1.row_gap)
       kept.points[kept.count++] = found.points[k];
   }
@@ -136,11 +137,11 @@ inline void keep_rows(const RigidShape& s0, const RigidShape& s1, const geometry
 
 struct RigidContactFindArguments {
   NOVAPHY_ARGUMENTS(
-      Optional<Reads<int32_t>> pairs_found;  // number of valid pairs; null: all
+      Optional<Reads<int32_t>> pairs_found;  // number of valid pairs; null: all pairs
       ReadsRow<Vec2i> pairs; Reads<RigidShape> shapes;
       Number<int64_t> per_pair;              // largest number of rows of a pair without a plane
-      Writes<geometry::Manifold> manifolds;  // contacts of each pair that are rows
-      WritesRow<int32_t> counts;             // number of these
+      Writes<geometry::Manifold> manifolds;  // the points of each pair that are rows
+      WritesRow<int32_t> counts;             // number of these points
   )
 };
 NOVAPHY_ROW_KERNEL(rigid_contact_find, RigidContactFindArguments) {
@@ -155,7 +156,7 @@ NOVAPHY_ROW_KERNEL(rigid_contact_find, RigidContactFindArguments) {
   a.counts[row] = kept.count;
 }
 
-// Sums chunks of kScanChunk counts.
+// Sums counts over chunks of kScanChunk pairs.
 struct RigidContactChunkArguments {
   NOVAPHY_ARGUMENTS(Reads<int32_t> counts; Number<int64_t> pair_count; WritesRow<int32_t> sums;)
 };
@@ -168,13 +169,13 @@ NOVAPHY_ROW_KERNEL(rigid_contact_chunk, RigidContactChunkArguments) {
 
 inline constexpr int64_t kLimitSums = 128;  // number of partial sums
 
-// Counts the rows within each fraction of the gap, as partial sums. rigid_mesh_limit_sum adds those
-// of mesh pairs.
+// Counts the rows within each fraction of the gap, as partial sums. rigid_mesh_limit_sum adds the
+// rows of mesh pairs.
 struct RigidContactLimitSumArguments {
   NOVAPHY_ARGUMENTS(Reads<Vec2i> pairs; Reads<RigidShape> shapes;
                     Reads<geometry::Manifold> manifolds; Part<PairRows> found;
                     Number<int64_t> pair_count, capacity;
-                    Writes<int32_t> sums;  // kLimitParts per partial sum
+                    Writes<int32_t> sums;  // kLimitParts values for each partial sum
   )
 };
 NOVAPHY_ROW_KERNEL(rigid_contact_limit_sum, RigidContactLimitSumArguments) {
@@ -194,7 +195,7 @@ NOVAPHY_ROW_KERNEL(rigid_contact_limit_sum, RigidContactLimitSumArguments) {
 
 struct RigidContactLimitArguments {
   NOVAPHY_ARGUMENTS(Part<PairRows> found; Reads<int32_t> sums;
-                    Number<int64_t> pair_count, capacity, rows;  // partial sums
+                    Number<int64_t> pair_count, capacity, rows;  // rows: number of partial sums
                     Writes<RigidContactLimit> limit;)
 };
 NOVAPHY_ROW_KERNEL(rigid_contact_limit, RigidContactLimitArguments) {
@@ -209,7 +210,8 @@ NOVAPHY_ROW_KERNEL(rigid_contact_limit, RigidContactLimitArguments) {
   a.limit->room = static_cast<int32_t>(a.capacity - sum);
 }
 
-// Counts for each pair the rows that are only within the fraction above the limit.
+// Counts for each pair the rows that are outside of the limit's fraction and within the next larger
+// fraction.
 struct RigidContactFartherArguments {
   NOVAPHY_ARGUMENTS(Reads<RigidContactLimit> limit; ReadsRow<Vec2i> pairs; Reads<RigidShape> shapes;
                     Reads<geometry::Manifold> manifolds; ReadsRow<int32_t> counts;
@@ -251,7 +253,7 @@ NOVAPHY_ROW_KERNEL(rigid_contact_trim, RigidContactTrimArguments) {
 struct RigidContactWriteArguments {
   NOVAPHY_ARGUMENTS(
       Optional<Reads<RigidContactLimit>> limit;  // null: all rows fit
-      Optional<Reads<int32_t>> pairs_found;      // may exceed the room; null: all
+      Optional<Reads<int32_t>> pairs_found;      // may exceed the room; null: all pairs
       ReadsRow<Vec2i> pairs; Reads<RigidShape> shapes; Reads<geometry::Manifold> manifolds;
       Part<PairRows> found; Writes<int32_t> rigid_contact_count; Part<RigidContactRows> rows;
       Writes<int32_t> rows_filled;)
@@ -261,7 +263,7 @@ NOVAPHY_ROW_KERNEL(rigid_contact_write, RigidContactWriteArguments) {
   if (count == 0 && row < n - 1) return;
   const int32_t first = rows_before(a.found, row);
   if (row == n - 1) {
-    // Each pair without room in the list of pairs counts as one row after the written rows.
+    // Each pair that did not fit into the list of pairs counts as one row after the written rows.
     const int64_t found = a.pairs_found == nullptr ? n : *a.pairs_found;
     int64_t rows = a.limit == nullptr ? first + count : a.limit->total;
     *a.rows_filled = first + count;
@@ -279,13 +281,13 @@ NOVAPHY_ROW_KERNEL(rigid_contact_write, RigidContactWriteArguments) {
 
 struct RigidContactClearArguments {
   NOVAPHY_ARGUMENTS(Number<int64_t> pairs; Updates<int32_t> rigid_contact_count;
-                    Optional<Reads<int32_t>> rows_filled;  // null: none
+                    Optional<Reads<int32_t>> rows_filled;  // null: no rows
                     Reads<int32_t> shape0;                 // of each row
 
                     Part<RigidContactRows> rows; Writes<Vec3f> rigid_contact_force;)
 };
-// Clears a row after the last contact, or the force of a valid row. The last thread sets the count
-// if no pair exists.
+// Clears a row after the last contact, or clears the force of a valid row. The last thread sets the
+// count to 0 if no pair exists.
 NOVAPHY_ROW_KERNEL(rigid_contact_clear, RigidContactClearArguments) {
   if (row == n - 1) {
     if (a.pairs == 0) *a.rigid_contact_count = 0;

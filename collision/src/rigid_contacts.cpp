@@ -22,7 +22,7 @@ struct RigidContacts::Impl {
   RigidLaunches launches = {};
   FclContacts fcl = {};
   SleepingShapes sleeping = {};
-  // Stamp of rigid_contact_shape0 after the last call; rows from `used` on are empty.
+  // Version of rigid_contact_shape0 after the last call. The rows from `used` on are empty.
   ArrayStamp emptied = {};
   int64_t used = 0;
 
@@ -72,7 +72,7 @@ void RigidContacts::collide(const SimState& state, Contacts& c, float dt) {
   RigidPairs& pairs = impl_->pairs;
   RigidLaunches& launches = impl_->launches;
   impl_->update();
-  depend_on(pairs.sources());  // the host has read them
+  depend_on(pairs.sources());  // the host has read these arrays
   const bool asks_fcl = impl_->narrow_phase == NarrowPhase::Fcl;
   require(!asks_fcl || launch_recorder() == nullptr, ErrorKind::Runtime,
           "collide: the narrow phase \"fcl\" asks on the host, so it cannot be recorded; use "
@@ -80,7 +80,7 @@ void RigidContacts::collide(const SimState& state, Contacts& c, float dt) {
   const int64_t rows = c.rigid_contact_max();
   // Without pairs and rows, as in a model without bodies, no kernel runs.
   if (!pairs.are_swept() && pairs.count() == 0 && rows == 0) return;
-  // If the host waits for the launches, it uses the faster sweep that keeps its last order, and it
+  // If the host waits for the launches, it uses the faster sweep on the host. The host then also
   // knows which rows are already empty.
   const bool waits = this->waits();
   const bool knows_empty = waits && impl_->emptied.matches(c.rigid_contact_shape0);
@@ -104,8 +104,8 @@ void RigidContacts::collide(const SimState& state, Contacts& c, float dt) {
     launches.find(pairs, impl_->contacts_per_pair);
     if (asks_fcl) impl_->ask_fcl();
     launches.scan(pairs);
-    // If the host waits for the number of rows, the host checks here whether the rows fit.
-    // Otherwise kernels make this check.
+    // If the host waits for the number of rows, it checks here whether the rows fit. Otherwise
+    // kernels check this.
     const bool limited = waits ? launches.rows_found(pairs) > rows : rows < pairs.most_rows();
     if (limited) launches.limit(pairs, rows);
     launches.write(pairs, limited, c);

@@ -1,5 +1,5 @@
-// Internal: finds the rigid contacts of a model's states on its device. rigid_contact_kernels.h has
-// the kernels.
+// Internal: finds the rigid contacts of a state on the model's device. The kernels are in
+// rigid_contact_kernels.h.
 #pragma once
 
 #include <cstdint>
@@ -22,17 +22,17 @@ class RigidContacts {
                 std::optional<std::vector<Vec2i>> explicit_pairs);
   ~RigidContacts();
 
-  // Returns an upper bound of the number of rows. Reads the model's arrays if they were written
-  // since the last call. ErrorKind::NotImplemented: a pair of shapes that may touch and is not
-  // supported.
+  // Returns an upper bound of the number of rows. The function reads the model's arrays if they
+  // were written since the last call. ErrorKind::NotImplemented: a pair of shapes that may touch is
+  // not supported.
   int64_t most_rows();
-  // Returns whether the host can read the result of a search as soon as collide returns.
+  // Returns whether the host can read the contacts as soon as collide() returns.
   bool waits() const;
-  // Counts so far: overlapping pairs of hulls, and pairs whose FCL result was rejected.
+  // Counts since the start: overlapping pairs of hulls, and pairs whose FCL result was rejected.
   int64_t fcl_pairs() const;
   int64_t fcl_fallbacks() const;
-  // Finds the contacts. A tape or capture of the thread records the search. `dt` (s): drops
-  // contacts that cannot touch within a step of this length. 0: keeps all contacts.
+  // Finds the contacts. If a tape or capture of the thread is active, it records the search. `dt`
+  // (s): drops contacts that cannot touch within a step of this length. 0: keeps all contacts.
   void collide(const SimState& state, Contacts& contacts, float dt);
 
  private:
@@ -40,7 +40,7 @@ class RigidContacts {
   std::unique_ptr<Impl> impl_;
 };
 
-// The device sources of the kernels; null: the build has none.
+// The source code of the device kernels. Null: the build has no device kernels.
 const char* rigid_contact_kernels_source();
 const char* rigid_mesh_kernels_source();
 

@@ -130,7 +130,7 @@ void RigidLaunches::find(const RigidPairs& pairs, int32_t contacts_per_pair) {
       {.mesh_pairs = pairs.mesh_rows(),
        .pairs = pairs.rows(),
        .shapes = Untyped(shapes_),
-       .scratch = nullptr,  // devices need no scratch: RigidPairs refuses mesh pairs there
+       .scratch = nullptr,  // no scratch: RigidPairs refuses mesh pairs on devices
        .found = Untyped(mesh_contacts_),
        .counts = counts_});
 }
@@ -142,7 +142,7 @@ void RigidLaunches::scan(const DeviceArray<int32_t>& counts, int64_t count,
 }
 void RigidLaunches::scan(const RigidPairs& pairs) { scan(counts_, pairs.count(), before_); }
 
-// Finds the largest fraction of the gaps whose rows fit.
+// Finds the largest fraction of the gaps for which all rows fit.
 void RigidLaunches::find_limit(const RigidPairs& pairs, int64_t capacity) {
   const int64_t count = pairs.count(), meshes = pairs.mesh_count();
   if (limit_.rows() == 0) {

@@ -1,5 +1,5 @@
-// The contacts of a triangle mesh with a convex shape or another mesh. The kernels run between
-// rigid_contact_find and rigid_contact_write (rigid_contact_kernels.h), which skip such pairs.
+// The contacts of a triangle mesh with a convex shape or another mesh. These kernels run between
+// rigid_contact_find and rigid_contact_write (rigid_contact_kernels.h), which skip mesh pairs.
 #pragma once
 
 #include "novaphy/collision/geometry/mesh_mesh.h"
@@ -9,7 +9,7 @@
 
 namespace novaphy {
 
-// A contact that is a row. The normal points from the mesh to the other shape.
+// A contact of a mesh pair that becomes a row. The normal points from the mesh to the other shape.
 struct MeshRow {
   geometry::ContactPoint point;
   Vec3f normal;
@@ -19,8 +19,8 @@ struct MeshRows {
   MeshRow rows[geometry::kMeshContacts];
 };
 
-// Returns an id of the triangle and the feature in it. The id is the same in every step, and
-// differs between contacts except for one pair in 2^31.
+// Returns an id from the triangle and the feature on it. The id is the same in every step. Two
+// different contacts have the same id with a probability of 2^-31.
 inline int32_t mesh_point_id(int32_t triangle, int32_t feature) {
   uint32_t x = static_cast<uint32_t>(triangle) * 0x9E3779B9u + static_cast<uint32_t>(feature);
   x = (x ^ (x >> 16)) * 0x85EBCA6Bu;
@@ -28,8 +28,8 @@ inline int32_t mesh_point_id(int32_t triangle, int32_t feature) {
   return static_cast<int32_t>((x ^ (x >> 16)) & 0x7FFFFFFFu);
 }
 
-// The contacts of a pair in the frame of the mesh. If they exceed the capacity, they are reduced
-// during the search, in the fixed order of the tree.
+// The contacts of a pair in the frame of the mesh. If more contacts are found than fit, they are
+// reduced during the search. The search has the fixed order of the tree.
 struct MeshContacts {
   static constexpr int32_t kCapacity = 512;
   geometry::MeshContact contacts[kCapacity];
@@ -45,7 +45,7 @@ struct MeshContacts {
     });
     count = geometry::reduce_mesh_contacts(mesh, contacts, count);
   }
-  // Finds the contacts of two meshes in the same way.
+  // Finds the contacts of two meshes in the same way as those of a mesh and a convex shape.
   void find(const geometry::MeshView& a, const geometry::MeshView& b, const Transformf& b_in_a,
             const geometry::MeshReach& reach) {
     count = 0;
@@ -67,8 +67,8 @@ struct RigidMeshFindArguments {
   NOVAPHY_ARGUMENTS(ReadsRow<int32_t> mesh_pairs;  // indices of mesh pairs in `pairs`
                     Reads<Vec2i> pairs; Reads<RigidShape> shapes;
                     Optional<Writes<MeshContacts>> scratch;  // for devices: a row per mesh pair
-                    Writes<MeshRows> found;                  // a row per mesh pair
-                    Updates<int32_t> counts;                 // a row per pair
+                    Writes<MeshRows> found;                  // a row for each mesh pair
+                    Updates<int32_t> counts;                 // a row for each pair
   )
 };
 NOVAPHY_ROW_KERNEL(rigid_mesh_find, RigidMeshFindArguments) {
@@ -101,15 +101,15 @@ NOVAPHY_ROW_KERNEL(rigid_mesh_find, RigidMeshFindArguments) {
     candidate.normal = math::normalize(math::rotate(mesh.pose.q, contact.normal));
     if (!mesh_is_first) candidate.normal = -candidate.normal;
     const CorePoints core = core_points(s0, s1, candidate.normal, candidate.point);
-    // The comparison is written so that NaN is not a contact.
+    // This form of the comparison excludes NaN.
     if (math::dot(core.b - core.a, candidate.normal) - inside <= s0.row_gap + s1.row_gap)
       kept.rows[kept.count++] = candidate;
   }
   a.counts[a.mesh_pairs[row]] = kept.count;
 }
 
-// The counterparts of rigid_contact_limit_sum, rigid_contact_farther and rigid_contact_trim for
-// mesh pairs.
+// Do for mesh pairs what rigid_contact_limit_sum, rigid_contact_farther and rigid_contact_trim do
+// for other pairs.
 struct RigidMeshLimitSumArguments {
   NOVAPHY_ARGUMENTS(Reads<int32_t> mesh_pairs; Reads<Vec2i> pairs; Reads<RigidShape> shapes;
                     Reads<MeshRows> found; Number<int64_t> mesh_pair_count; Updates<int32_t> sums;)

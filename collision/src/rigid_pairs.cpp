@@ -13,8 +13,8 @@
 namespace novaphy::detail {
 namespace {
 
-// Returns the largest number of contacts of a pair of types, in order; 0: the pair is not
-// supported.
+// Returns the largest number of contacts of a pair of types a <= b. The result is 0 if the pair is
+// not supported.
 int32_t most_contacts(GeoType a, GeoType b, int32_t per_pair) {
   using geometry::is_convex_type;
   if (is_mesh_pair(a, b)) {
@@ -93,7 +93,7 @@ void RigidPairs::update() {
   versions_.set(sources());
 }
 
-// Puts a pair in order. Returns the largest number of its rows.
+// Exchanges the shapes of a pair if the order is wrong. Returns the largest number of its rows.
 int32_t RigidPairs::orient(Vec2i& pair) const {
   const int32_t last = model_->shape_count() - 1;
   require(pair.x >= 0 && pair.y >= 0 && pair.x <= last && pair.y <= last, ErrorKind::Index,
@@ -107,7 +107,8 @@ int32_t RigidPairs::orient(Vec2i& pair) const {
           ") may meet, and contacts of this pair of types are not supported; ",
           explicit_ ? "leave it out of shape_pairs_filtered"
                     : "ModelBuilder.add_shape_collision_filter_pair or collision groups part them");
-  // Mesh pairs run on the CPU only: on a GPU, normals and ids differed from the CPU's in some rows.
+  // Mesh pairs are supported on the CPU only. On a GPU, normals and ids of some rows differed from
+  // the CPU.
   if (is_mesh_pair(a, b))
     require_cpu(model_->device(), "CollisionPipeline: shapes ", pair.x, " (", geo_type_name(a),
                 ") and ", pair.y, " (", geo_type_name(b), ") may meet: contacts of meshes");
@@ -119,7 +120,7 @@ int32_t RigidPairs::orient(Vec2i& pair) const {
   return most;
 }
 
-// Uses pairs (i < j) as candidates. Returns the largest number of their rows.
+// Takes pairs (i < j) as the candidates. Returns the largest number of their rows.
 int64_t RigidPairs::take(std::vector<Vec2i> found) {
   int64_t rows = 0;
   for (Vec2i& pair : found) rows += orient(pair);
@@ -181,7 +182,7 @@ void RigidPairs::sweep(std::span<const RigidShape> shapes) {
   take(host_sweep_.box_pairs(boxes_, rules()));
 }
 
-// Finds as many pairs as the list has room for. Outside of a recording the list has room for all.
+// Finds as many pairs as fit into the list. Outside of a recording the list has room for all pairs.
 void RigidPairs::find_by_kernels(const Array& shapes) {
   if (!tree_known_) {
     const UntrackedScope untracked;  // a capture does not record the model

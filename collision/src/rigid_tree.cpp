@@ -32,14 +32,14 @@ const Kernels& kernels() {
 constexpr int64_t kTotals = 256;
 constexpr int64_t kMostUnwrapped = 65536;  // largest number of shapes whose pairs int32 can count
 
-// Returns about the square root: the number of partial results that one row of the next launch can
-// read in full.
+// Returns about the square root of `count`: the number of partial results if one row of the next
+// launch reads all of them.
 int64_t root_of(int64_t count) {
   return std::max<int64_t>(1, std::llround(std::sqrt(static_cast<double>(count))));
 }
 
 // Returns the shapes that are kept outside of the tree: at most kMostApart of the largest, if they
-// are much larger than most and may touch very many others. Each of them tests all shapes.
+// are much larger than most shapes and may touch very many others. Each of them tests all shapes.
 std::vector<int32_t> apart_of(const Model& m, std::span<const int32_t> world) {
   constexpr size_t kMostApart = 64, kVeryMany = 512;
   constexpr float kMuchLarger = 16.0f;
@@ -94,7 +94,7 @@ void RigidTree::set_filters(const Model& m) {
   filtered_ = DeviceArray<int32_t>::from_host(filtered, m.device());
 }
 
-// Decides which shapes are in the tree, and assigns the slots of all shapes.
+// Decides which shapes are in the tree, and assigns the slots for counts to all shapes.
 void RigidTree::set_places(const Model& m, std::span<const int32_t> world) {
   const size_t shapes = world.size();
   const std::vector<int32_t> apart = apart_of(m, world);
@@ -129,7 +129,7 @@ void RigidTree::set_places(const Model& m, std::span<const int32_t> world) {
   kept_ = DeviceArray<Vec2i>(static_cast<size_t>(slot) * kKept, m.device());
 }
 
-// Makes levels until one has few boxes.
+// Makes levels until a level has few boxes.
 void RigidTree::set_levels(Device device) {
   level_counts_.clear();
   levels_.clear();
@@ -168,9 +168,9 @@ RigidTreeTables RigidTree::tables(const Model& m, const Array& shapes) const {
           .segments = segments_};
 }
 
-// Returns whether the order of an earlier search in the same recording can be kept. Shapes that
-// move little stay near each other in the tree, and the pairs do not depend on the order. On a tape
-// every search sorts, because the tape runs searches again.
+// Returns whether the tree can use the order of an earlier search in the same recording. Shapes
+// that move little stay near each other in the tree, and the pairs do not depend on the order. On a
+// tape every search sorts, because the tape runs searches again.
 bool RigidTree::keeps_order() {
   constexpr int32_t kSearches = 8;  // searches per sort
   LaunchRecorder* const recorder = launch_recorder();
@@ -188,7 +188,7 @@ bool RigidTree::keeps_order() {
   return false;
 }
 
-// Sorts by world and, within a world, along a space-filling curve.
+// Sorts the shapes by world and, within a world, along a space-filling curve.
 void RigidTree::sort(const Model& m, const Array& shapes) {
   const Kernels& k = kernels();
   const auto bits =

@@ -1,5 +1,5 @@
-// Internal: finds the pairs of shapes with overlapping boxes on the device, by a tree of boxes.
-// rigid_tree_kernels.h has the kernels.
+// Internal: finds the pairs of shapes with overlapping boxes on a device, with a tree of boxes. The
+// kernels are in rigid_tree_kernels.h.
 #pragma once
 
 #include <cstdint>
@@ -23,12 +23,12 @@ class RigidTree {
   // exist.
   void update(const Model& model, std::span<const int32_t> world);
   // Launches kernels that sort the shapes (RigidShape), build the tree, and count the partners of
-  // each shape.
+  // each shape. A partner is a shape whose box overlaps.
   void count(const Model& model, const Array& shapes);
-  // Call this after `count`. Launches kernels that write the pairs (shape0, shape1) in ascending
-  // order, as many as fit, and their true number.
+  // Launches kernels that write as many pairs (shape0, shape1) as fit, in ascending order, and the
+  // number of all pairs. Requires a call of count().
   void write(const Model& model, const Array& shapes, const DeviceArray<Vec2i>& pairs);
-  const DeviceArray<int32_t>& found() const { return found_; }  // the true number
+  const DeviceArray<int32_t>& found() const { return found_; }  // the number of all pairs
 
  private:
   void set_filters(const Model& model);
@@ -38,22 +38,22 @@ class RigidTree {
   bool keeps_order();
   RigidTreeTables tables(const Model& model, const Array& shapes) const;
 
-  // Kept alive by the recording with the last sort, or by this object.
+  // The recording with the last sort keeps this object alive, or this object does.
   std::weak_ptr<ExclusiveUse> sorted_in_;
   std::shared_ptr<ExclusiveUse> sorted_at_once_;
   int32_t searches_ = 0;  // searches since the last sort
   int64_t segments_ = 0, entry_count_ = 0, slot_count_ = 0;
   std::vector<int64_t> level_counts_;  // number of nodes of each level
   std::vector<int32_t> levels_;        // first node of each level
-  // Tables of the shapes, and of the threads that search partners.
+  // Tables of the shapes, and of the threads that search for partners.
   DeviceArray<int32_t> filter_starts_, filtered_, slots_, apart_, members_, starts_, level_starts_;
   DeviceArray<int32_t> keys_, order_, counts_, before_, found_;
   DeviceArray<Vec2i> kept_;
   DeviceArray<uint64_t> totals_;
-  Array bounds_, entries_, nodes_;  // rows of structs as bytes
+  Array bounds_, entries_, nodes_;  // rows of structs, stored as bytes
 };
 
-// The device source of the kernels; null: the build has none.
+// The source code of the device kernels. Null: the build has no device kernels.
 const char* rigid_tree_kernels_source();
 
 }  // namespace novaphy::detail

@@ -1,13 +1,15 @@
-// Kernels for BroadPhase::Sap on the device of the shapes. The kernels find the sorted pairs of
-// box_pairs.h in time proportional to the number of shapes and pairs.
+// Kernels for BroadPhase::Sap on a device. The kernels find the sorted pairs of box_pairs.h in a
+// time that is proportional to the number of shapes and pairs.
 //
 // Shapes are sorted by world and, within a world, along a space-filling curve. A hierarchy of boxes
-// covers the sorted shapes: each box covers kTreeWidth boxes of the level below. A shape descends
-// only into boxes that overlap its own. The order affects the time, not the pairs.
+// covers the sorted shapes: each box covers kTreeWidth boxes of the level below. A search for the
+// partners of a shape descends only into boxes that overlap the shape's box. The order of the
+// shapes affects the time and not the pairs.
 //
-// A few shapes that may touch nearly all others, such as a ground, are kept outside of the tree
-// ("apart"). All shapes test them, and each of them tests all shapes, in parts of kApartPart
-// shapes. Each searching thread counts its partners and, after a scan of the counts, writes them.
+// A few shapes that may touch nearly all others, for example a ground, are kept outside of the tree
+// (in the code: "apart"). All shapes test these shapes. Each of these shapes also tests all shapes,
+// with one thread for kApartPart shapes. Each thread counts its partners and, after a scan of the
+// counts, writes them.
 #pragma once
 
 #include "novaphy/collision/geometry/rigid_shape.h"
@@ -30,7 +32,7 @@ inline void grow(geometry::Box3& all, const geometry::Box3& one) {
             math::max(all.hi.z, one.hi.z)};
 }
 
-// Bounds of the centers of every n-th shape in the tree.
+// Computes the bounds of the centers of every n-th shape in the tree.
 struct RigidTreeBoundsArguments {
   NOVAPHY_ARGUMENTS(Reads<RigidShape> shapes; Reads<int32_t> members; Number<int64_t> count;
                     Writes<geometry::Box3> bounds;)
@@ -48,7 +50,7 @@ NOVAPHY_ROW_KERNEL(rigid_tree_bounds, RigidTreeBoundsArguments) {
 struct RigidTreeKeyArguments {
   NOVAPHY_ARGUMENTS(Reads<RigidShape> shapes; Reads<int32_t> members, world;
                     Reads<geometry::Box3> bounds; Number<int64_t> bound_count;
-                    Number<int64_t> bits;  // bits of the curve per axis
+                    Number<int64_t> bits;  // bits of the curve for each axis
                     WritesRow<int32_t> keys;)
 };
 NOVAPHY_ROW_KERNEL(rigid_tree_key, RigidTreeKeyArguments) {
@@ -62,7 +64,7 @@ NOVAPHY_ROW_KERNEL(rigid_tree_key, RigidTreeKeyArguments) {
   const float scale = last / math::max(math::max(size.x, size.y), math::max(size.z, 1.0e-30f));
   const Vec3f at = (middle - all.lo) * scale;
   int32_t key = a.world[shape] < 0 ? 0 : a.world[shape] + 1;
-  // NaN goes to the first cell.
+  // NaN is sorted into the first cell.
   const auto cell = [last](float x) {
     return x > 0.0f ? static_cast<int32_t>(math::min(x, last)) : 0;
   };
@@ -72,21 +74,22 @@ NOVAPHY_ROW_KERNEL(rigid_tree_key, RigidTreeKeyArguments) {
   a.keys[row] = key;
 }
 
-// Returns child k of a node. Beyond the end of a level with `count` boxes, the last box is
-// returned. Loads then need no branch, and the loads of all children overlap.
+// Returns child k of a node. If k is beyond the end of a level with `count` boxes, returns the last
+// box. Loads then need no branch, so that the loads of all children run in parallel.
 inline int64_t child(int64_t node, int32_t k, int64_t count) {
   const int64_t at = node * kTreeWidth + k;
   return at < count ? at : count - 1;
 }
 
-// A shape in the order of the tree.
+// A shape in the sorted order of the tree.
 struct TreeEntry {
-  geometry::Box3 box;  // a box with a NaN overlaps nothing, not even an infinite box
+  geometry::Box3 box;  // a box with a NaN overlaps no box, not even an infinite one
   int32_t shape;
   int32_t unused;
 };
 
-// Writes the entries and the lowest level of boxes; one row per group of eight.
+// Writes the entries and the lowest level of boxes. A row of the launch is a group of eight
+// entries.
 struct RigidTreeEntryArguments {
   NOVAPHY_ARGUMENTS(Reads<RigidShape> shapes; Reads<int32_t> members, order;
                     Number<int64_t> count;  // number of entries
@@ -106,7 +109,7 @@ NOVAPHY_ROW_KERNEL(rigid_tree_entry, RigidTreeEntryArguments) {
   a.nodes[row] = all;
 }
 
-// Builds the next level.
+// Builds the next level of boxes.
 struct RigidTreeLevelArguments {
   NOVAPHY_ARGUMENTS(Number<int64_t> below, count;  // first node of the level below, and their
                                                    // number
@@ -119,7 +122,7 @@ NOVAPHY_ROW_KERNEL(rigid_tree_level, RigidTreeLevelArguments) {
   a.nodes[a.above + row] = all;
 }
 
-// The tables of the search for partners.
+// The tables of the search for partners, which are shapes whose boxes overlap.
 struct RigidTreeTables {
   NOVAPHY_ARGUMENTS(
       Reads<RigidShape> shapes; Reads<int32_t> body, flags, group, world,
@@ -136,7 +139,8 @@ inline PairedShape paired_shape(const RigidTreeTables& a, int32_t shape) {
   return {a.body[shape], a.flags[shape], a.group[shape], a.world[shape]};
 }
 
-// The thread of a search: a shape of the tree, or one part of the search of a shape apart.
+// The work of a thread in a search: a shape of the tree, or one part of the search of a shape
+// outside of the tree.
 struct TreeAsker {
   int32_t shape, slot;
   int32_t part;  // -1: a shape of the tree
@@ -152,7 +156,7 @@ inline TreeAsker tree_asker(const RigidTreeTables& a, int64_t row) {
   return {shape, a.slots[shape] + part, part};
 }
 
-// The data of a shape whose partners are searched.
+// The data of the shape whose partners a thread searches.
 struct TreeShape {
   int32_t shape;
   GeoType type;
@@ -168,8 +172,8 @@ inline TreeShape tree_shape(const RigidTreeTables& a, int32_t shape) {
           a.filter_starts[shape],
           a.filter_starts[shape + 1]};
 }
-// Returns whether `other`, whose box overlaps that of the shape, may touch the shape and is second
-// in the pair.
+// Returns whether `other` may touch the shape and is the second shape of the pair. The boxes of
+// both shapes are known to overlap.
 inline bool is_partner(const RigidTreeTables& a, const TreeShape& s, int32_t other) {
   const GeoType type = a.shapes[other].type;
   const PairedShape paired = paired_shape(a, other);
@@ -180,7 +184,7 @@ inline bool is_partner(const RigidTreeTables& a, const TreeShape& s, int32_t oth
   return true;
 }
 
-// Calls visit(other) for the partners among the shapes [begin, end), in ascending order.
+// Calls visit(other) for the partners with an index in [begin, end), in ascending order.
 template <class Visit>
 void for_partners_among(const RigidTreeTables& a, const TreeShape& s, int64_t begin, int64_t end,
                         Visit& visit) {
@@ -189,10 +193,10 @@ void for_partners_among(const RigidTreeTables& a, const TreeShape& s, int64_t be
         is_partner(a, s, static_cast<int32_t>(other)))
       visit(static_cast<int32_t>(other));
 }
-// Largest number of levels in for_partners_in, which has one byte of a word per level.
+// Largest number of levels in for_partners_in, which packs one byte for each level into a word.
 inline constexpr int32_t kTreeDepth = 8;
-// Returns a bit mask. Bit k: the box overlaps that of child k of a node, and the child contains
-// some of the entries [begin, end).
+// Returns a bit mask over the children of a node. Bit k is set if the box of child k overlaps
+// `box`, and the child contains some of the entries [begin, end).
 inline uint64_t meeting_children(const RigidTreeTables& a, const geometry::Box3& box, int32_t level,
                                  int64_t node, int64_t begin, int64_t end) {
   const int32_t below = kTreeBits * (level - 1);
@@ -206,7 +210,7 @@ inline uint64_t meeting_children(const RigidTreeTables& a, const geometry::Box3&
   }
   return bits;
 }
-// Calls visit for the partners among the entries [begin, end), in their order.
+// Calls visit(other) for the partners among the entries [begin, end), in their order in the tree.
 template <class Visit>
 void for_partners_in(const RigidTreeTables& a, const TreeShape& s, int64_t begin, int64_t end,
                      Visit& visit) {
@@ -262,7 +266,7 @@ void for_partners(const RigidTreeTables& a, const TreeAsker& asker, Visit visit)
   }
 }
 
-// The pairs of a shape in ascending order; the first `room` are kept.
+// Collects the pairs of a shape in ascending order, and stores the first `room` of them.
 struct SortedPairs {
   Vec2i* pairs;
   int64_t room, count;
@@ -275,9 +279,9 @@ inline void add_pair(SortedPairs& to, const Vec2i& pair) {
 }
 
 struct RigidTreeCountArguments {
-  // per slot
+  // for each slot
   NOVAPHY_ARGUMENTS(Part<RigidTreeTables> tree; Writes<int32_t> counts;
-                    // kKept per slot
+                    // kKept values for each slot
                     Writes<Vec2i> kept;
   )
 };
@@ -291,7 +295,7 @@ NOVAPHY_ROW_KERNEL(rigid_tree_count, RigidTreeCountArguments) {
   a.counts[asker.slot] = count;
 }
 
-// Sums the counts in 64 bits, if their 32-bit scan may overflow.
+// Sums the counts in 64 bits, for the case that a scan in 32 bits may overflow.
 struct RigidTreeTotalArguments {
   NOVAPHY_ARGUMENTS(Reads<int32_t> counts; Number<int64_t> slots;
                     WritesRow<int64_t> totals;  // partial sums over every n-th slot
@@ -306,12 +310,12 @@ NOVAPHY_ROW_KERNEL(rigid_tree_total, RigidTreeTotalArguments) {
 struct RigidTreeWriteArguments {
   NOVAPHY_ARGUMENTS(Part<RigidTreeTables> tree;
                     Reads<int32_t> counts, before;         // counts, and their scan
-                    // the stored partners of slots with at most kKept
+                    // the partners that the count kernel stored, for slots with at most kKept
                     Reads<Vec2i> kept;
                     Optional<Reads<int64_t>> totals;       // null: the scan cannot overflow
                     Number<int64_t> total_rows, capacity;  // number of totals; room for pairs
                     Writes<Vec2i> pairs;                   // the first pairs, in ascending order
-                    // number of all pairs; 2^31 - 1: that many or more
+                    // number of all pairs; 2^31 - 1: at least this number
                     Writes<int32_t> pairs_found;
   )
 };
@@ -334,7 +338,7 @@ NOVAPHY_ROW_KERNEL(rigid_tree_write, RigidTreeWriteArguments) {
     return;
   }
   const auto add = [&](int32_t other) { add_pair(mine, {asker.shape, other}); };
-  // A shape with very many partners loops over all shapes, which are already in order.
+  // If a shape has very many partners, a loop over all shapes is faster, and already has the order.
   if (asker.part < 0 && count * count > 4 * a.tree.shape_count)
     for_partners_among(a.tree, tree_shape(a.tree, asker.shape), 0, a.tree.shape_count, add);
   else

@@ -18,18 +18,19 @@ namespace {
 
 using geometry::GeometryView;
 
-// Writes views, followed by their tables, into bytes whose pointers refer to the final address.
+// Writes the views and then their tables into one block of bytes. The pointers in the views refer
+// to the final address of the block.
 class TableWriter {
  public:
   explicit TableWriter(size_t views) : bytes_(round_up(views * sizeof(GeometryView))) {}
 
-  // Reserves memory for the next tables.
+  // Reserves memory for tables that will be added.
   template <class... T>
   void expect(const std::vector<T>&... tables) {
     const size_t bytes = bytes_.size() + (... + round_up(tables.size() * sizeof(T) + 1));
     if (bytes > bytes_.capacity()) bytes_.reserve(std::max(bytes, 2 * bytes_.capacity()));
   }
-  // Appends a table. The returned pointer is an offset until `move_to`.
+  // Appends a table. The returned pointer is an offset until move_to() converts it.
   template <class T>
   const T* add(const std::vector<T>& table) {
     const size_t at = bytes_.size();
@@ -41,7 +42,7 @@ class TableWriter {
     auto storage = Storage::allocate(bytes_.size(), device);
     const auto base = reinterpret_cast<uintptr_t>(storage->data());
     const auto move = [base](auto*& table) {
-      if (table == nullptr) return;  // tables follow the views, so offset 0 means no table
+      if (table == nullptr) return;  // offset 0 means no table
       table = reinterpret_cast<std::remove_reference_t<decltype(table)>>(
           base + reinterpret_cast<uintptr_t>(table));
     };
@@ -125,7 +126,7 @@ void ShapeGeometries::update() {
   const std::vector<Vec3f> scale = m.shape_scale.to_host(), vertices = m.mesh_vertices.to_host();
   const std::vector<Vec3i> triangles = m.mesh_indices.to_host();
 
-  // Groups shapes with the same geometry, in the order of first occurrence.
+  // Groups shapes with the same geometry, in the order of their first occurrence.
   using Key = std::tuple<int32_t, int32_t, int32_t, float, float, float>;
   std::map<Key, int32_t> found;
   std::vector<size_t> first;

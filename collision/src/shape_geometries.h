@@ -1,6 +1,6 @@
-// Internal: the tables of a model's convex hulls and meshes on its device, one for each combination
-// of mesh, type and scale. The tables are rebuilt when their source arrays in the model were
-// written.
+// Internal: the tables of a model's convex hulls and meshes on its device. Each combination of
+// mesh, type and scale has one table. The tables are rebuilt when their source arrays in the model
+// were written.
 #pragma once
 
 #include <array>
@@ -18,17 +18,17 @@ class ShapeGeometries {
  public:
   explicit ShapeGeometries(std::shared_ptr<const Model> model) : model_(std::move(model)) {}
 
-  // Rebuilds outdated tables. ErrorKind::Value, with the shape: a range outside of the model's
-  // vertices or triangles, or an error of convex_hull or build_mesh_tree. Recorded launches depend
-  // on the source arrays.
+  // Rebuilds outdated tables. ErrorKind::Value: a shape has a range outside of the model's vertices
+  // or triangles, or convex_hull or build_mesh_tree fails. The message names the shape. Recorded
+  // launches depend on the source arrays.
   void update();
 
-  // The functions below need a call of update() first. of_shape: for each shape its row in the
+  // The functions below require a call of update(). of_shape() has the row of each shape in the
   // views, or -1.
   const DeviceArray<int32_t>& of_shape() const { return of_shape_; }
-  // GeometryViews, followed by the tables that they point to.
+  // The array of GeometryViews, followed by the tables to which their pointers refer.
   Array tables() const { return {DType::uint8, tables_->bytes(), 1, tables_->range()}; }
-  // Number of rebuilds.
+  // Returns the number of rebuilds.
   uint64_t version() const { return version_; }
 
  private:

@@ -9,8 +9,8 @@
 namespace novaphy::detail {
 namespace {
 
-// m. The search wakes a body if a pair may have a row. The tolerances cover rounding. A step then
-// tests whether the row touches.
+// Tolerances for rounding: kNearly (m), and kOfPlace relative to the positions. The search wakes a
+// body if a pair may have a row. The step then tests whether the row touches.
 constexpr float kNearly = 1.0e-4f, kOfPlace = 1.0e-6f;
 
 bool may_have_rows(const RigidShape& s0, const RigidShape& s1) {

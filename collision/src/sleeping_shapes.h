@@ -1,13 +1,11 @@
 // Internal: the broad phase for sleeping bodies (core/sim/sleep.h), on the CPU. Only shapes that
 // move, or whose body wakes, search for partners. A search costs time for the moving shapes, and
-// one check per body.
-//
+// one check for each body.
 //   begin()   finds the shapes that move, and other shapes whose world pose is outdated
-//   pairs()   finds the pairs of moving shapes. A sleeping body that may have a row with one of
-//             them
-//             wakes with its island, and its shapes search for partners too.
+//   pairs()   finds the pairs of moving shapes. If a sleeping body may have a row with a moving
+//             shape, the body wakes with its island. Its shapes then search for partners, too.
 //
-// A step checks the found rows again, and wakes the same bodies or fewer.
+// The solver step tests the rows that were found again, and wakes the same bodies or fewer.
 #pragma once
 
 #include <cstdint>
@@ -23,16 +21,16 @@ namespace novaphy::detail {
 
 class SleepingShapes {
  public:
-  // Returns false if no body sleeps, or so few that a full search is faster; the caller then moves
-  // all shapes. `version`: version of the geometries.
+  // Returns false if no body sleeps, or if so few bodies sleep that a full search is faster. The
+  // caller then moves all shapes. `version`: version of the geometries.
   bool begin(const Model& model, const SimState& state, std::span<const RigidShape> shapes,
              float dt, uint64_t version);
-  // The shapes that have moved since the last search, ascending.
+  // Returns the shapes that have moved since the last search, in ascending order.
   std::span<const int32_t> moved() const { return moved_; }
-  // Returns pairs (i < j). Call this after moving the shapes of moved().
+  // Returns pairs (i < j). Requires that the caller has moved the shapes of moved().
   std::vector<Vec2i> pairs(const Model& model, std::span<const RigidShape> shapes,
                            const ShapePairRules& rules);
-  // Says that the caller has moved all shapes.
+  // Tells the object that the caller has moved all shapes.
   void forget() { stamp_ = 0; }
 
  private:
@@ -44,14 +42,14 @@ class SleepingShapes {
   void wake();
 
   SleepingBodies bodies_;
-  uint64_t stamp_ = 0, version_ = 0;  // stamps of the cached data
+  uint64_t stamp_ = 0, version_ = 0;  // versions of the cached data
   float dt_ = 0.0f;
   IndexRows shapes_of_;             // shapes of each body
-  std::vector<uint8_t> is_still_;   // per shape: at rest at the same pose
-  std::vector<uint8_t> is_active_;  // per shape: searches for partners
+  std::vector<uint8_t> is_still_;   // for each shape: at rest, with the same pose
+  std::vector<uint8_t> is_active_;  // for each shape: searches for partners
   std::vector<uint8_t> is_indexed_, is_done_;
   std::vector<int32_t> moved_, queue_, others_, woken_;
-  BoxIndex still_, loose_;  // shapes of the index, and all others
+  BoxIndex still_, loose_;  // shapes of the index, and all other shapes
   std::vector<Vec2i> found_;
 };
 

@@ -1,7 +1,7 @@
-// The kernels of the search for soft contacts. A kernel prepares the shapes. Every candidate pair
-// of a particle and a shape (candidate_pairs.h) tests whether it touches. A scan of the results
-// gives the slot of each pair, and touching pairs write their contact. collision_pipeline.h defines
-// a contact.
+// The kernels of the search for soft contacts (see collision_pipeline.h). The first kernel prepares
+// the shapes. Every candidate pair of a particle and a shape (candidate_pairs.h) tests whether it
+// touches. A scan of the results gives the slot of each pair, and touching pairs write their
+// contact.
 #pragma once
 
 #include "novaphy/collision/diff_soft_contact_trace.h"
@@ -23,7 +23,8 @@ struct SoftContactShape {
   const geometry::GeometryView* geometry;  // for a hull or mesh, else null
 };
 
-// Returns the distance of a particle with the given radius (m) at x, in the frame of the shape.
+// Returns the signed distance (m) and normal for a particle at x with the given radius (m), in the
+// frame of the shape.
 inline SurfaceDistance<float> surface_distance(const SoftContactShape& shape, const Vec3f& x,
                                                float radius) {
   if (shape.geometry != nullptr) {
@@ -42,18 +43,18 @@ inline SurfaceDistance<float> surface_distance(const SoftContactShape& shape, co
   return plane_distance(x, shape.scale.x, shape.scale.y);
 }
 
-// Prepares shapes. A contact has no gradient, so the inputs are detached.
+// Prepares shapes. The inputs are detached, because a contact has no gradient.
 struct SoftContactShapeArguments {
-  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> candidates;  // shapes that particles may meet
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> candidates;  // shapes that particles may touch
                     Reads<int32_t> body; Detached<Reads<Transformf>> body_q; Reads<int32_t> type;
                     Detached<Reads<Vec3f>> scale; Detached<Reads<Transformf>> xform;
                     Detached<Reads<float>> margin; Number<float> gap;
-                    Reads<int32_t> geometry;  // per shape: row of `views`, or -1
+                    Reads<int32_t> geometry;  // for each shape: row of `views`, or -1
                     Reads<geometry::GeometryView> views;
-                    Writes<SoftContactShape> shapes;  // per shape of the model
+                    Writes<SoftContactShape> shapes;  // for each shape of the model
   )
 };
-// Prepares candidate shape `row`.
+// Prepares the candidate shape `row`.
 NOVAPHY_ROW_KERNEL(soft_contact_shape, SoftContactShapeArguments) {
   const int32_t s = a.candidates[row];
   SoftContactShape& shape = a.shapes[s];
@@ -70,13 +71,13 @@ NOVAPHY_ROW_KERNEL(soft_contact_shape, SoftContactShapeArguments) {
 }
 
 struct SoftContactTouchArguments {
-  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> pair_particle;  // these two: a row per pair
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> pair_particle;  // this and the next: a row for each pair
                     ReadsRow<int32_t> pair_shape; Reads<SoftContactShape> shapes;
                     Detached<Reads<Vec3f>> q; Detached<Reads<float>> radius; Reads<int32_t> flags;
-                    WritesRow<int32_t> touches;  // a row per pair
+                    WritesRow<int32_t> touches;  // a row for each pair
   )
 };
-// Sets touches to 1 if pair `row` touches, else to 0.
+// Sets touches to 1 if the pair `row` touches, else to 0.
 NOVAPHY_ROW_KERNEL(soft_contact_touch, SoftContactTouchArguments) {
   const int32_t p = a.pair_particle[row];
   const SoftContactShape& shape = a.shapes[a.pair_shape[row]];
@@ -90,16 +91,16 @@ NOVAPHY_ROW_KERNEL(soft_contact_touch, SoftContactTouchArguments) {
 
 struct SoftContactWriteArguments {
   NOVAPHY_ARGUMENTS(
-      ReadsRow<int32_t> pair_particle;  // per pair, as the next
+      ReadsRow<int32_t> pair_particle;  // this and the next: a row for each pair
       ReadsRow<int32_t> pair_shape; Reads<SoftContactShape> shapes; Detached<Reads<Vec3f>> q;
       Detached<Reads<float>> radius; ReadsRow<int32_t>
           before;  // slots before each pair: the scan of soft_contact_touch
       Number<int64_t> slots;
       UpdatesRow<int32_t> tids;  // input: whether the pair touches; output: its slot, or -1
-      Writes<int32_t> count, particle;  // from here on: per slot
+      Writes<int32_t> count, particle;  // from here on: a row for each slot
       Writes<int32_t> shape; Writes<Vec3f> body_pos, body_vel, normal;)
 };
-// Writes the contact of pair `row` into its slot, if the pair touches.
+// Writes the contact of the pair `row` into its slot, if the pair touches.
 NOVAPHY_ROW_KERNEL(soft_contact_write, SoftContactWriteArguments) {
   const int32_t slot = a.before[row];
   const bool touches = a.tids[row] != 0;
@@ -124,14 +125,14 @@ NOVAPHY_ROW_KERNEL(soft_contact_write, SoftContactWriteArguments) {
 struct SoftContactNoneArguments {
   NOVAPHY_ARGUMENTS(Writes<int32_t> count;)
 };
-// Sets the count to 0 if no pairs exist.
+// Sets the count to 0 if no pair exists.
 NOVAPHY_ROW_KERNEL(soft_contact_none, SoftContactNoneArguments) { a.count[row] = 0; }
 
 struct SoftContactClearArguments {
-  NOVAPHY_ARGUMENTS(Reads<int32_t> count; Writes<int32_t> particle;  // from here on: per slot
+  NOVAPHY_ARGUMENTS(Reads<int32_t> count; Writes<int32_t> particle;  // from here on: a row per slot
                     Writes<int32_t> shape; Writes<Vec3f> body_pos, body_vel, normal;)
 };
-// Clears slot `row` if it is after the last contact.
+// Clears the slot `row` if it is after the last contact.
 NOVAPHY_ROW_KERNEL(soft_contact_clear, SoftContactClearArguments) {
   if (row < *a.count) return;
   a.particle[row] = -1;
@@ -144,8 +145,8 @@ NOVAPHY_ROW_KERNEL(soft_contact_clear, SoftContactClearArguments) {
 struct ContactGenerationArguments {
   NOVAPHY_ARGUMENTS(UpdatesRow<int32_t> generation;)
 };
-// Raises the generation. This is a separate launch, so that recomputing a step for a gradient does
-// not depend on the earlier generation.
+// Increases the generation. This launch is separate, so that a step that runs again for a gradient
+// does not depend on the earlier generation.
 NOVAPHY_ROW_KERNEL(contact_generation, ContactGenerationArguments) { ++a.generation[row]; }
 
 }  // namespace novaphy

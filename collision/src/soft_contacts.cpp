@@ -45,12 +45,12 @@ void check_covered_shape(int32_t index, int32_t body, int32_t bodies, GeoType ty
 struct SoftContacts::Impl {
   std::shared_ptr<const Model> model;
   std::shared_ptr<ShapeGeometries> geometries;
-  // The candidate shapes and pairs, with the versions of the arrays behind them.
+  // The candidate shapes and pairs, and the versions of the arrays from which they were made.
   ArrayVersions<5> versions;
   DeviceArray<int32_t> candidates;
   DeviceArray<int32_t> pair_particle, pair_shape;  // candidate_pairs.h
   // Scratch memory, reused between calls.
-  Array shapes;                 // a SoftContactShape per shape
+  Array shapes;                 // a SoftContactShape for each shape
   DeviceArray<int32_t> before;  // slots before each pair
 
   std::array<const Array*, 5> choosing() const {
@@ -63,7 +63,7 @@ struct SoftContacts::Impl {
     const std::vector<int32_t> body = model->shape_body.to_host(),
                                type = model->shape_type.to_host();
     const CandidatePairs pairs = make_candidate_pairs(*model);
-    std::vector<int32_t> found;  // shapes of the pairs, which are in shape-major order
+    std::vector<int32_t> found;  // shapes of the pairs, which are sorted by shape
     for (const int32_t s : pairs.shape) {
       if (!found.empty() && found.back() == s) continue;
       check_covered_shape(s, body[static_cast<size_t>(s)], model->body_count(),
@@ -95,7 +95,7 @@ void SoftContacts::collide(const SimState& state, Contacts& contacts, float gap)
   const Model& m = *impl_->model;
   const Device device = m.device();
   impl_->find_candidates();
-  depend_on(impl_->choosing());  // the host has read them
+  depend_on(impl_->choosing());  // the host has read these arrays
   const int64_t pairs = contacts.soft_contact_pair_count(), slots = contacts.soft_contact_max();
   const auto shape_count = static_cast<int64_t>(impl_->candidates.rows());
   const Array& shapes = impl_->shapes;

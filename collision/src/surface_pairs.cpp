@@ -13,13 +13,13 @@ namespace {
 using geometry::Box3;
 using geometry::Vec3d;
 
-constexpr float kOfRest = 0.9f;  // part of the distance at rest
+constexpr float kOfRest = 0.9f;  // factor of the rest distance
 
 Vec3d wide(const Vec4f& v) {
   return {static_cast<double>(v.x), static_cast<double>(v.y), static_cast<double>(v.z)};
 }
 
-// Returns the box with all points nearer than `around`. The last term covers the rounding of ends.
+// Returns a box with all points nearer to `box` than `around` (m). The last term covers rounding.
 Box3 padded(const Box3& box, float around) {
   const float size = std::max({std::abs(box.lo.x), std::abs(box.lo.y), std::abs(box.lo.z),
                                std::abs(box.hi.x), std::abs(box.hi.y), std::abs(box.hi.z)});
@@ -27,14 +27,14 @@ Box3 padded(const Box3& box, float around) {
   return {box.lo - Vec3f{pad, pad, pad}, box.hi + Vec3f{pad, pad, pad}};
 }
 
-// Features of one kind: vertices, edges or triangles, by their particles.
+// Features of one kind (vertices, edges or triangles), given by their particles.
 template <size_t n>
 struct Features {
   std::vector<std::array<int32_t, n>> corners;
   std::vector<Box3> boxes;
   std::vector<float> reaches;
 
-  // `of`: boxes of the particles.
+  // `of`: the box of each particle.
   void set_boxes(std::span<const Box3> of, std::span<const float> reach) {
     boxes.resize(corners.size());
     reaches.assign(corners.size(), 0.0f);
@@ -56,8 +56,8 @@ bool share_corner(const std::array<int32_t, n>& a, const std::array<int32_t, m>&
   return false;
 }
 
-// Orders pairs by their particles. The corners of a feature always have the same order, so equal
-// particles mean equal features.
+// Orders pairs by their particles. The corners of a feature always have the same order, so that
+// equal particles mean equal features.
 bool before(const SurfacePair& a, const SurfacePair& b) {
   return a.has_edges != b.has_edges ? b.has_edges : a.particle < b.particle;
 }
@@ -72,7 +72,7 @@ geometry::NearestWeights nearest(const SurfacePair& pair, std::span<const Vec4f>
 }  // namespace
 
 struct SurfacePairs::Work {
-  // The vertices and edges of a triangle that no triangle before has.
+  // The vertices and edges of a triangle that no earlier triangle has.
   struct Owned {
     int32_t vertices[3], edges[3];
     int vertex_count = 0, edge_count = 0;
@@ -80,8 +80,8 @@ struct SurfacePairs::Work {
   Features<1> vertices;
   Features<2> edges;
   Features<3> triangles;
-  std::vector<int32_t> worlds;  // of triangles
-  std::vector<Owned> owned;     // of triangles
+  std::vector<int32_t> worlds;  // of each triangle
+  std::vector<Owned> owned;     // of each triangle
   float radius = 0.0f, shortest = 0.0f;
   std::vector<bool> is_vertex;
   std::vector<SurfacePair> near_at_rest;  // sorted by `before`
@@ -140,8 +140,8 @@ struct SurfacePairs::Work {
     pair.distance = static_cast<float>(nearest(pair, x).distance);
     if (pair.distance < most) (n == 2 ? of_edges : pairs).push_back(pair);
   }
-  // Two features can meet only where the boxes of the triangles that own them meet. Each pair of
-  // triangles is visited once, so each pair of features is, too.
+  // Two features can meet only if the boxes of the triangles that own them overlap. Each pair of
+  // triangles is visited once. Each pair of features is therefore visited once, too.
   void find(std::span<const Vec4f> x, std::span<const float> reach, std::span<const Box3> regions) {
     pairs.clear();
     of_edges.clear();

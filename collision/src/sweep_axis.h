@@ -1,4 +1,4 @@
-// Internal: the choice of the sweep axis.
+// Internal: the choice of the axis for sweep and prune.
 #pragma once
 
 #include <cmath>
@@ -7,7 +7,7 @@
 
 namespace novaphy::detail {
 
-// Returns the axis on which the centers of the boxes vary most, and the first axis on a tie.
+// Returns the axis on which the centers of the boxes vary most, or the first of several such axes.
 // `box_of` returns the box of a row.
 template <class Rows, class BoxOf>
 int sweep_axis(const Rows& rows, const BoxOf& box_of) {

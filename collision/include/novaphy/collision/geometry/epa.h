@@ -9,8 +9,8 @@
 //
 // Distances of faces are signed. The orientation of a face follows from the polytope. The origin
 // cannot give the orientation, because it may lie on the surface or just outside (a touching
-// contact with depth 0 or < 0). Source: van den Bergen, Proximity Queries and Penetration Depth Computation on
-// 3D Game Objects (2001).
+// contact with depth 0 or < 0). Source: van den Bergen, Proximity Queries and Penetration Depth
+// Computation on 3D Game Objects (2001).
 //
 // A flat difference has no volume, for example for crossing segments. The cores then separate along
 // the normal of its plane. Frame of A.

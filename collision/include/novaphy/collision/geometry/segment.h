@@ -1,6 +1,6 @@
-// Nearest points of two segments. The parameter t of the second segment follows from the parameter
-// s of the first. If t leaves its segment, t is clamped, and s is computed again from t. Source: C.
-// Ericson, Real-Time Collision Detection (2005), 5.1.9.
+// Nearest points of two segments. The parameter s of the first segment is clamped, and gives the
+// parameter t of the second. Both are then computed again from each other, for the case that t was
+// clamped. Source: C. Ericson, Real-Time Collision Detection (2005), 5.1.9.
 #pragma once
 
 #include "novaphy/math/types.h"

@@ -1,20 +1,24 @@
 # novaphy_add_device_module(<target> <path>/<name>_kernels.h [WHEN <condition>])
-# Makes the device text of the hand-written kernels of a header (NOVAPHY_ROW_KERNEL), and compiles it into the target as
+# Makes the device source of the hand-written kernels (NOVAPHY_ROW_KERNEL) of a header, and compiles the
+# source into the target as
 #   const char* novaphy::detail::<name>_kernels_source();
-# The function returns null without a backend for devices, or if the condition is false.
+# The function returns null if the build has no backend for devices, or if the condition is false.
 #
-# tools/device_source makes the text in the build. Each header replaces its first include. core/device/ has twins of the
-# headers that devices must read in another form. From the declarations of kernels the tool makes the lines
-# "// kernel NAME WORDS NOVAPHY_ROW" (or _BLOCK), which backends read. The text is C++17 for the compilers of all vendors.
-# Includes "<code>.inc" of code that the build makes remain: the .cuh includes the code, and the text includes
-# <code>_source.inc, the code as string literals.
+# The tool tools/device_source makes the source during the build. It replaces the first include of each header
+# by the header's text. core/device/ has variants of the headers that devices need in another form. From the
+# declarations of kernels the tool makes the lines "// kernel NAME WORDS NOVAPHY_ROW" (or _BLOCK), which
+# backends read. The source is C++17 for the compilers of all vendors.
 #
-# A target that compiles these files elsewhere depends on novaphy_device_sources.
+# Includes "<code>.inc" of code that the build makes stay in the text. The .cuh file includes the code. The
+# source includes <code>_source.inc, which has the code as string literals.
+#
+# A target that compiles these files elsewhere must depend on novaphy_device_sources.
 set(NOVAPHY_DEVICE_INCLUDES core/device core/include collision/include dynamics/include vbd/include)
 list(TRANSFORM NOVAPHY_DEVICE_INCLUDES PREPEND ${PROJECT_SOURCE_DIR}/)
 if(NOVAPHY_WITH_CUDA OR NOVAPHY_WITH_DLAN)
   add_custom_target(novaphy_device_sources)
-  # A cross build names a tool that a host build of the same sources made: -DNOVAPHY_DEVICE_TEXT=<path>.
+  # In a cross build, -DNOVAPHY_DEVICE_TEXT=<path> names the tool, which a host build of the same sources
+  # made.
   if(NOT NOVAPHY_DEVICE_SOURCE)
     add_subdirectory(${PROJECT_SOURCE_DIR}/tools/device_source ${PROJECT_BINARY_DIR}/tools/device_source)
     set(NOVAPHY_DEVICE_SOURCE novaphy_device_source)

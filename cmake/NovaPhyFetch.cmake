@@ -1,5 +1,5 @@
-# novaphy_fetch(package url sha256 hint): sets <package>_DIR in the caller to the folder of a package that is fetched and unpacked in
-# the build tree, once. `hint` ends the error message of one that cannot be had.
+# novaphy_fetch(package url sha256 hint): downloads a package and unpacks it in the build tree, once. Sets
+# <package>_DIR in the caller to its folder. If the download fails, the error message ends with `hint`.
 function(novaphy_fetch package url sha256 hint)
   set(archive ${CMAKE_CURRENT_BINARY_DIR}/${package}.tar.gz)
   set(stamp ${CMAKE_CURRENT_BINARY_DIR}/${package}.stamp)

@@ -1,5 +1,6 @@
-# The installed package. NovaPhyConfig.cmake lists every component of this version with its dependencies. The target file
-# of a component comes from novaphy_add_library. A component may be installed without the others.
+# Makes the installed package. NovaPhyConfig.cmake lists every component of this version with its
+# dependencies. novaphy_add_library makes the target file of each component. A component may be installed
+# without the other components.
 include(CMakePackageConfigHelpers)
 
 set(NOVAPHY_KNOWN_COMPONENTS core io nova collision dynamics vbd diff)
@@ -9,7 +10,7 @@ set(dependencies_nova core)
 set(dependencies_collision core)
 set(dependencies_dynamics core collision)
 if(NOVAPHY_WITH_NOVA)
-  list(APPEND dependencies_dynamics nova)  # not in its headers, but its library loads that one
+  list(APPEND dependencies_dynamics nova)  # only the library depends on nova, not its headers
 endif()
 set(dependencies_vbd core collision)
 set(dependencies_diff core nova collision dynamics)
@@ -33,7 +34,8 @@ install(FILES ${CMAKE_CURRENT_BINARY_DIR}/NovaPhyConfig.cmake ${CMAKE_CURRENT_BI
 install(FILES ${PROJECT_SOURCE_DIR}/LICENSE ${PROJECT_SOURCE_DIR}/NOTICE
         DESTINATION ${CMAKE_INSTALL_DATADIR}/licenses/novaphy COMPONENT core)
 
-# For builds without CMake: `pkg-config --cflags --libs novaphy-core`, one file for each component.
+# Makes one pkg-config file for each component, for builds without CMake: `pkg-config --cflags --libs
+# novaphy-core`.
 get_property(components GLOBAL PROPERTY NOVAPHY_COMPONENTS)
 file(RELATIVE_PATH up /${CMAKE_INSTALL_LIBDIR}/pkgconfig /)
 foreach(component ${components})

@@ -1,8 +1,8 @@
 # novaphy_add_library(<name> SOURCES ... [PUBLIC lib ...] [PRIVATE lib ...] [UNITY [APART ...]])
-# Declares the shared library novaphy_<name> (alias novaphy::<name>) of one layer: headers under include/,
-# hidden visibility, warnings, its install component <name> and its entry in the exported package. A quick build compiles
-# the sources of a library with UNITY several at a time, in a third less time. Sources that share a name in unnamed
-# namespaces stand in APART.
+# Declares the shared library novaphy_<name> (alias novaphy::<name>) of one layer. The function sets the
+# headers under include/, hidden visibility, warnings, the install component <name>, and the entry in the
+# exported package. In a quick build, a library with UNITY compiles several sources at a time, which takes a
+# third less time. Sources in APART are compiled alone, because they use the same name in unnamed namespaces.
 set(NOVAPHY_WARNINGS -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wno-sign-conversion)
 if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU" AND CMAKE_CXX_COMPILER_VERSION VERSION_LESS 13)
   # False positives of GCC 12's optimizer in inlined std::string and std::shared_ptr code.
@@ -15,8 +15,9 @@ endif()
 set(NOVAPHY_COLD_OPTIMIZATION -O0 CACHE STRING "Optimization of code that runs once: tests, and bindings that no loop runs")
 set(NOVAPHY_COLD_OPTIONS $<$<NOT:$<CONFIG:Debug>>:${NOVAPHY_COLD_OPTIMIZATION}>)
 
-# A user builds once, and changes nothing: no warnings then, which cost a twentieth of the time, and headers are parsed
-# once for several files. Off by default: a compiler cache finds nothing of other trees in such a build.
+# A quick build is for users, who build once and change nothing. It has no warnings, which cost a twentieth of
+# the time, and parses headers once for several files. The option is off by default, because a compiler cache
+# cannot reuse results of other trees in a quick build.
 option(NOVAPHY_QUICK_BUILD "No warnings, and headers parsed once for several files: for a build without a compiler cache" OFF)
 if(NOVAPHY_QUICK_BUILD)
   set(NOVAPHY_WARNINGS "")
@@ -28,30 +29,32 @@ if(NOVAPHY_QUICK_BUILD)
     <algorithm> <array> <cmath> <cstdint> <cstring> <functional> <map> <memory> <optional> <span> <string> <utility>
     <vector>)
 endif()
-# novaphy_precompile(<target>): its C++ files begin with these headers, in a quick build.
+# novaphy_precompile(<target>): precompiles these headers for the C++ files of the target, in a quick build.
 function(novaphy_precompile target)
   if(NOVAPHY_QUICK_BUILD)
     target_precompile_headers(${target} REUSE_FROM novaphy_standard_headers)
   endif()
 endfunction()
 
-# novaphy_compile_small(<source>...): compiles sources that run seldom, such as the building of a model, for size. A quick
-# build, which compiles several sources together, leaves them as they are.
+# novaphy_compile_small(<source>...): optimizes sources that rarely run, such as the building of a model, for
+# size. In a quick build the function does nothing, because several sources are compiled together.
 function(novaphy_compile_small)
   if(NOT NOVAPHY_QUICK_BUILD)
     set_source_files_properties(${ARGN} PROPERTIES COMPILE_OPTIONS $<$<CONFIG:Release>:-Os>)
   endif()
 endfunction()
 
-# novaphy_limit_exports(<target> <version script>): the dynamic symbol table holds only the symbols of the script.
+# novaphy_limit_exports(<target> <version script>): limits the dynamic symbol table to the symbols of the
+# script.
 function(novaphy_limit_exports target script)
   target_link_options(${target} PRIVATE -Wl,--version-script=${script})
   set_property(TARGET ${target} APPEND PROPERTY LINK_DEPENDS ${script})
 endfunction()
 
-# The public headers, by their paths from the root. A public header is installed, and its code is part of the version of
-# the exported symbols. The internal headers under include/ are those of other libraries of NovaPhy: formulas,
-# hand-written kernels, contact geometry, trees. Public headers include a few of these, which are therefore public.
+# Lists the public headers, by their paths from the root. Public headers are installed, and their code
+# determines the version of the exported symbols. Internal headers under include/ are for other libraries of
+# NovaPhy: formulas, hand-written kernels, contact geometry, trees. An internal header that a public header
+# includes is public, too.
 set(header_globs "")
 foreach(layer backends/abi core io nova collision dynamics vbd diff)
   list(APPEND header_globs ${PROJECT_SOURCE_DIR}/${layer}/include/*.h)
@@ -69,8 +72,9 @@ foreach(header articulation/contact_branches articulation/gradient_counts articu
 endforeach()
 list(APPEND NOVAPHY_PUBLIC_HEADERS backends/program/include/novaphy/program/ir.h)
 
-# Exported symbols have the version NOVAPHY_<version>_<hash of the public headers>. A program asks for the version that
-# it was linked with. The dynamic linker refuses libraries with another version, and names the library and the version.
+# Exported symbols have the version NOVAPHY_<version>_<hash of the public headers>. A program requires the
+# version with which it was linked. The dynamic linker refuses libraries with another version, and names the
+# library and the version.
 set(NOVAPHY_EXPORTS ${PROJECT_BINARY_DIR}/exports.map)
 add_custom_command(
   OUTPUT ${NOVAPHY_EXPORTS}
@@ -100,7 +104,7 @@ function(novaphy_add_library name)
   endif()
   novaphy_limit_exports(${target} ${NOVAPHY_EXPORTS})
   add_dependencies(${target} novaphy_exports)
-  # The linker reports a missing symbol, instead of the loader at the user.
+  # Reports missing symbols when linking. Otherwise the loader would report them to the user.
   if(NOT NOVAPHY_SANITIZE)
     target_link_options(${target} PRIVATE -Wl,--no-undefined)
   endif()
@@ -117,15 +121,16 @@ function(novaphy_add_library name)
 endfunction()
 
 # novaphy_add_lane_levels(<library> CHOOSER file SOURCES file ... [INCLUDES folder ...] [DEPENDS target ...])
-# Compiles sources that use core/lanes.h into a library, once for each level (an instruction set). Each level has its own
-# namespace, so the linker cannot use code of one level in another. The source CHOOSER picks the level at run time
-# (cpu_level.h). With sanitizers only the level "baseline" is built, because levels differ in the number of lanes alone.
+# Compiles sources that use core/lanes.h into a library, once for each level. A level is an instruction set
+# with a number of SIMD lanes. Each level has its own namespace, so that the linker cannot use code of one
+# level in another. The source CHOOSER selects the level at run time (cpu_level.h). With sanitizers only the
+# level "baseline" is built, because levels differ only in the number of lanes.
 function(novaphy_add_lane_levels library)
   cmake_parse_arguments(ARG "" "CHOOSER" "SOURCES;INCLUDES;DEPENDS" ${ARGN})
   set(levels "baseline 4")
   if(CMAKE_SYSTEM_PROCESSOR MATCHES "^(x86_64|AMD64)$" AND NOT NOVAPHY_SANITIZE)
     list(APPEND levels "avx2 8 -mavx2 -mfma")
-    # GCC 12 takes its own intrinsics for uninitialized.
+    # GCC 12 reports its own intrinsics as uninitialized.
     list(APPEND levels "avx512 16 -mavx2 -mfma -mavx512f -mprefer-vector-width=512 -Wno-uninitialized")
     set_property(SOURCE ${ARG_CHOOSER} APPEND PROPERTY COMPILE_DEFINITIONS NOVAPHY_X86_LEVELS)
   endif()

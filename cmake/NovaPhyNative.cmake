@@ -1,14 +1,16 @@
 # novaphy_add_native_kernels(<target> NAME <name> PARTS <n> [PROGRAMS <file>] [OPTIMIZATION <option>])
-# Gives the plugin <target> the compiled kernels: runs the kernel generator in the build, compiles the C files that it
-# writes once per instruction set, and writes the C++ file that lists their tables. Without kernels the list is empty.
+# Compiles kernels ahead of time into the plugin <target>. The function runs the kernel generator during the
+# build, and compiles the generated C files once for each instruction set. It also writes the C++ file that
+# lists the tables of the kernels. Without kernels the list is empty.
 #
-# The generator links the engine and runs on the host. A cross build names one that a host build of the same sources
-# made: -DNOVAPHY_KERNEL_GENERATOR=<path>.
+# The generator is linked with the engine and runs on the host. In a cross build,
+# -DNOVAPHY_KERNEL_GENERATOR=<path> names a generator that a host build of the same sources made.
 set(NOVAPHY_KERNEL_GENERATOR "" CACHE FILEPATH
     "A kernel generator that runs here (cross builds; empty: the one of this build)")
 
-# Level, lanes and options. The scalar form serves the rows that fill no group, on every processor. It is also the form
-# of processors of x86-64 without AVX2, which are too rare for a third of the kernels' size.
+# Each level has a name, a number of SIMD lanes and compiler options. On every processor the scalar level runs
+# the rows that do not fill a group of lanes. On x86-64 without AVX2 it runs all rows. These processors are
+# rare, and a separate level would add a third to the size of the kernels.
 set(NOVAPHY_NATIVE_LEVELS scalar baseline)
 set(NOVAPHY_NATIVE_LANES_scalar 1)
 set(NOVAPHY_NATIVE_LANES_baseline 4)
@@ -22,7 +24,7 @@ if(CMAKE_SYSTEM_PROCESSOR MATCHES "^(x86_64|AMD64)$")
   set(NOVAPHY_NATIVE_OPTIONS_avx512 -mavx2 -mfma -mavx512f -mavx512dq -mavx512bw -mavx512vl
                                     -mprefer-vector-width=512)
 endif()
-# A build for this machine needs two levels only, and compiles the kernels in half the time.
+# A build for the host processor only needs two levels, and compiles the kernels in half the time.
 set(NOVAPHY_CPU_LEVELS "" CACHE STRING
     "Instruction sets of the compiled kernels: ${NOVAPHY_NATIVE_LEVELS}; host: the best of this machine; empty: all")
 if(NOVAPHY_CPU_LEVELS)
@@ -50,11 +52,11 @@ if(NOVAPHY_CPU_LEVELS)
   set(NOVAPHY_NATIVE_LEVELS ${levels})
 endif()
 
-# The arithmetic contract, wrapping integers, and words that are read as float or int. The text is generated, so it is
-# not held to the warnings of written code; nor does it need the search for common subexpressions, which has been done:
-# that takes a sixth of the time to compile it.
+# Options for the arithmetic contract, for wrapping integers, and for words that are read as float or int. The
+# text is generated, so warnings are off. The search for common subexpressions is off, because the generator
+# has already done it. The search would take a sixth of the compile time.
 set(NOVAPHY_KERNEL_OPTIMIZATION -O2 CACHE STRING "Optimization of the compiled kernels")
-# No exception passes through the code, so it has no tables for one.
+# No exception passes through the code, so the code needs no unwind tables.
 set(NOVAPHY_NATIVE_COMMON_OPTIONS "$<$<C_COMPILER_ID:GNU>:-fno-gcse;-fno-tree-pre>" -g0 -ffp-contract=off -fno-math-errno
     -fno-trapping-math -fwrapv -fno-strict-aliasing -fno-asynchronous-unwind-tables -w -Wno-psabi)
 

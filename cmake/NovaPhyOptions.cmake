@@ -1,5 +1,5 @@
-# The options of the build. An option that needs another one is an error without it, unless its text says that it is
-# without effect then.
+# The options of the build. An option that depends on another option is an error without it, unless the
+# option's text says that it then has no effect.
 option(NOVAPHY_WITH_DIFF "Build the tensor runtime (nova), the differentiable solvers (diff) and their bindings" OFF)
 option(NOVAPHY_WITH_NOVA "Build the tensor runtime (nova), with which solvers step models on devices; ON with NOVAPHY_WITH_DIFF" OFF)
 if(NOVAPHY_WITH_DIFF)
@@ -29,8 +29,8 @@ option(NOVAPHY_WERROR "Treat warnings as errors" OFF)
 set(NOVAPHY_SANITIZE "" CACHE STRING "Sanitizers for everything, e.g. address,undefined or thread")
 set(NOVAPHY_CUDA_ARCHITECTURES "" CACHE STRING "GPU architectures to build ahead (used by NOVAPHY_WITH_CUDA)")
 
-# The engine's own kernels live in nova and diff, so there are none without them. A sanitizer is for the written code,
-# and would make the generated code take minutes to compile.
+# The engine's own kernels belong to nova and diff. A build without these libraries has no kernels to compile.
+# With a sanitizer the default is off, because the generated code would take minutes to compile.
 set(NOVAPHY_NATIVE_DEFAULT OFF)
 if(NOVAPHY_WITH_DIFF AND NOVAPHY_BUILD_CPU_PLUGIN AND NOT NOVAPHY_SANITIZE)
   set(NOVAPHY_NATIVE_DEFAULT ON)
@@ -74,7 +74,7 @@ endif()
 find_program(NOVAPHY_CCACHE ccache)
 if(NOVAPHY_CCACHE AND NOT CMAKE_CXX_COMPILER_LAUNCHER)
   set(CMAKE_C_COMPILER_LAUNCHER "${NOVAPHY_CCACHE}")
-  # Without these words the cache leaves out files with precompiled headers.
+  # Without these settings ccache does not cache files with precompiled headers.
   set(CMAKE_CXX_COMPILER_LAUNCHER "${CMAKE_COMMAND}" -E env CCACHE_SLOPPINESS=pch_defines,time_macros "${NOVAPHY_CCACHE}")
 endif()
 
@@ -89,12 +89,12 @@ set(CMAKE_C_VISIBILITY_PRESET hidden)
 set(CMAKE_VISIBILITY_INLINES_HIDDEN ON)
 set(CMAKE_EXPORT_COMPILE_COMMANDS ON)
 include(GNUInstallDirs)
-# All libraries in one folder, so that the build tree looks like the install tree to the plugin search.
+# Puts all libraries into one folder, so that the plugin search finds the same layout as in an installation.
 set(CMAKE_LIBRARY_OUTPUT_DIRECTORY "${CMAKE_BINARY_DIR}/lib")
 set(CMAKE_RUNTIME_OUTPUT_DIRECTORY "${CMAKE_BINARY_DIR}/bin")
 set(CMAKE_INSTALL_RPATH "$ORIGIN")
 
-# The arithmetic contract: the same bits on every path. Nothing else of fast-math.
+# The arithmetic contract: every build and path gives the same bits. Other options of fast-math are not used.
 add_compile_options(-ffp-contract=off -fno-math-errno -fno-trapping-math)
 if(NOVAPHY_DEBUG)
   add_compile_definitions(NOVAPHY_DEBUG _GLIBCXX_ASSERTIONS)
@@ -103,8 +103,8 @@ if(NOVAPHY_SANITIZE)
   add_compile_options(-fsanitize=${NOVAPHY_SANITIZE} -fno-sanitize-recover=all -fno-omit-frame-pointer)
   add_link_options(-fsanitize=${NOVAPHY_SANITIZE})
   if(NOVAPHY_SANITIZE MATCHES "address")
-    # These two checks take a third of the compiler's time. AddressSanitizer reports an access through a null pointer without
-    # `null`. Nothing here checks alignment.
+    # Both checks take a third of the compile time. AddressSanitizer reports accesses through null pointers
+    # without `null`. The tests do not check alignment.
     add_compile_options(-fno-sanitize=null,alignment)
   endif()
 endif()

@@ -1,5 +1,5 @@
-# Writes the version script OUTPUT for these HEADERS, see NovaPhyLibrary.cmake. The hash leaves comments out: whole
-# lines, and comments after code, which begin after two spaces.
+# Writes the linker version script OUTPUT for HEADERS (see NovaPhyLibrary.cmake). The hash of the headers
+# leaves comments out: whole lines, and comments behind code, which begin after two spaces.
 cmake_minimum_required(VERSION 3.25)
 set(hashes "")
 foreach(header ${HEADERS})

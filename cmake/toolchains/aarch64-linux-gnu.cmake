@@ -1,4 +1,4 @@
-# Cross build for 64-bit ARM on Debian or Ubuntu; tests run under qemu-user. As root, once:
+# Cross build for 64-bit ARM on Debian or Ubuntu. Tests run under qemu-user. Run once as root:
 #   dpkg --add-architecture arm64 && apt-get update
 #   apt-get install g++-aarch64-linux-gnu qemu-user libtbb-dev:arm64 zlib1g-dev:arm64
 set(CMAKE_SYSTEM_NAME Linux)

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Compile every header of an installation by itself.
-
+"""Check that every header of an installation compiles by itself.
     tools/check_headers.py PREFIX/include
 
-CXX chooses the compiler. The exit code is 1 where a header needs another one before it.
+The environment variable CXX chooses the compiler. The exit code is 1 if a header does not compile
+without another header before it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 
 
 def errors(folder: Path, header: Path) -> str:
-    """Return what the compiler says of a header; nothing: an empty string."""
+    """Return the compiler's message for a header; empty: the header compiles."""
     compiler = os.environ.get("CXX", "c++")
     words = [compiler, "-std=c++20", "-fsyntax-only", "-w", f"-I{folder}", "-include", header]
     done = subprocess.run(
@@ -26,7 +26,7 @@ def errors(folder: Path, header: Path) -> str:
 
 
 def main(arguments: list[str]) -> int:
-    """Check the headers of a folder."""
+    """Check all headers of a folder."""
     if len(arguments) != 1:
         print(__doc__, file=sys.stderr)
         return 2

@@ -1,11 +1,10 @@
 #!/usr/bin/env python3
-"""Compare the names of the cases in two sets of JUnit files.
-
+"""Compare the names of the test cases in two sets of JUnit files.
     tools/compare_cases.py BEFORE AFTER
 
-BEFORE and AFTER are folders with the JUnit files of a run (build/log). Prints every name that only
-BEFORE has, and how many names each side has. Exits with 1 when a name is missing from AFTER, with
-2 when a folder has no JUnit file.
+BEFORE and AFTER are folders with the JUnit files of a run (build/log). The program prints every
+name that only BEFORE has, and the number of names in each folder. The exit code is 1 if a name is
+missing from AFTER, and 2 if a folder has no JUnit file.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from test_results import case_name
 
 
 def names(folder: Path) -> set[str]:
-    """Return the names of all cases in a folder's JUnit files."""
+    """Return the names of all test cases in a folder's JUnit files."""
     files = sorted(folder.glob("*.xml"))
     if not files:
         print(f"{folder}: no JUnit file", file=sys.stderr)
@@ -27,7 +26,7 @@ def names(folder: Path) -> set[str]:
 
 
 def main() -> int:
-    """Compare the two folders of the command line."""
+    """Compare the two folders that the command line names."""
     if len(sys.argv) != 3:
         print(__doc__, file=sys.stderr)
         return 2

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Run all tests. tools/run_tests.sh calls this after it has set up what is needed."""
+"""Run the tests. tools/run_tests.sh calls this program after it has installed what is needed."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ TEST_REQUIREMENTS = ("numpy", "pytest", "pytest-xdist", "matplotlib", "tqdm", "g
 VIEWERS_WITHOUT_DISPLAY = ("moderngl>=5.10", "viser>=1.1", "pillow", "websockets>=13.1")
 VIEWER_REQUIREMENTS = (*VIEWERS_WITHOUT_DISPLAY, "pyglet>=2.0.10", "imgui-bundle>=1.92")
 
-# Component -> the components that its consumer's prefix holds. (The step io installs its own.)
+# Component -> the components that are installed for its test program. (The step io has its own.)
 COMPONENTS = {
     "core": ["core"],
     "nova": ["core", "nova"],
@@ -44,7 +44,7 @@ COMPONENTS = {
 
 
 class StepError(Exception):
-    """A step cannot go on."""
+    """A step cannot continue."""
 
 
 results = Results()
@@ -54,16 +54,16 @@ def environment(**extra: str) -> dict[str, str]:
     """Return the caller's environment without variables that change how NovaPhy runs."""
     ours = ("NOVAPHY_", "NOVA_", "CMAKE_ARGS")
     kept = {k: v for k, v in os.environ.items() if not k.startswith(ours)}
-    # All build trees lie two folders below the root: the compiler cache then knows the objects of
-    # one in the other.
+    # All build trees lie two folders below the root. The compiler cache then finds the objects of
+    # one tree for another tree.
     cache = {"CCACHE_BASEDIR": str(ROOT), "CCACHE_NOHASHDIR": "1"}
-    # Python calls the same compiler by another name, under which the cache knows no object.
+    # Python calls the same compiler by another name, for which the cache has no objects.
     compilers = {"CC": "cc", "CXX": "c++"}
     return kept | {"PYTHONDONTWRITEBYTECODE": "1"} | cache | compilers | extra
 
 
 def output_of(*command: str | Path) -> str:
-    """Return the output of a command."""
+    """Return the standard output of a command."""
     words = [str(word) for word in command]
     return subprocess.run(words, capture_output=True, text=True, check=True).stdout
 
@@ -75,7 +75,7 @@ def run(
     env: dict[str, str] | None = None,
     may_fail: bool = False,
 ) -> int:
-    """Run a command with its output in build/log/<log>.log; show the end of it when it fails."""
+    """Run a command with its output in build/log/<log>.log. If it fails, print the log's end."""
     LOGS.mkdir(parents=True, exist_ok=True)
     path = LOGS / f"{log}.log"
     words = [str(word) for word in command]
@@ -104,12 +104,12 @@ def run(
 
 
 def pip(log: str, python: str | Path, *arguments: str | Path, **options: object) -> None:
-    """Run pip of a Python."""
+    """Run pip for a Python interpreter."""
     run(log, python, "-m", "pip", "--disable-pip-version-check", *arguments, **options)
 
 
 def build(preset: str, *options: str, targets: Iterable[str] = ()) -> Path:
-    """Configure and build a preset, with warnings as errors; returns its build tree."""
+    """Configure and build a preset, with warnings as errors. Return the build tree."""
     with results.timed("build"):
         run(preset, "cmake", "--preset", preset, "-DNOVAPHY_WERROR=ON", *options)
         chosen = [word for target in targets for word in ("--target", target)]
@@ -148,7 +148,7 @@ def pytest(
 
 
 def make_venv(name: str, *requirements: str, options: tuple[str, ...] = ()) -> Path:
-    """Make a virtual environment with these packages, once. Return its Python."""
+    """Make a virtual environment with these packages, once. Return its Python interpreter."""
     folder = BUILD / "venv" / name
     python, stamp = folder / "bin" / "python", folder / "requirements.stamp"
     wanted = f"{sys.version} {requirements}"
@@ -159,19 +159,19 @@ def make_venv(name: str, *requirements: str, options: tuple[str, ...] = ()) -> P
     return python
 
 
-# The steps, in order. A step is named as its function, with - for _.
+# The steps, in order. The name of a step is the name of its function, with - in place of _.
 
 STEPS: dict[str, Callable[[], None]] = {}
 DEFAULT = ("lint", "tests")  # steps without --all
 LIBRARIES = ("core", "io", "nova", "collision", "dynamics", "vbd", "diff")
-# Steps that build and check without a test of their own.
+# Steps that have no tests of their own, and only build and check.
 WITHOUT_TESTS = ("lint", "symbols", "demos", "hashes")
-# The tests of a partial build: they check its libraries from outside.
+# The tests of a partial build, which check its libraries from outside.
 FROM_OUTSIDE = r"^exports\.|^install_consumer\."
 
 
 def step(function: Callable[[], None]) -> Callable[[], None]:
-    """Register a step."""
+    """Register a function as a step."""
     STEPS[function.__name__.replace("_", "-")] = function
     return function
 
@@ -192,7 +192,7 @@ def lint() -> None:
 
 
 def tests_options() -> tuple[Path, list[str]]:
-    """Return the Python of the tree `tests`, and the options of its build."""
+    """Return the Python interpreter of the tree `tests`, and the options of its build."""
     packages = (*BINDING_REQUIREMENTS, *TEST_REQUIREMENTS, *VIEWERS_WITHOUT_DISPLAY)
     python = make_venv("tests", *packages)
     pybind11 = output_of(python, "-m", "pybind11", "--cmakedir").strip()
@@ -233,7 +233,7 @@ def dev() -> None:
 
 
 def make_wheel() -> Path:
-    """Build the wheel, once per run of this script."""
+    """Build the wheel, once per run of this program. Return its path."""
     folder = BUILD / "wheel"
     if not make_wheel.made:
         shutil.rmtree(folder, ignore_errors=True)
@@ -254,14 +254,14 @@ make_wheel.made = False
 
 
 def check_wheel(wheel: Path) -> None:
-    """Check that the wheel is small, and needs only NumPy and a Linux."""
+    """Check that the wheel is small, and needs only NumPy and a Linux system."""
     print(f"   {wheel.name}: {wheel.stat().st_size / 1e6:.2f} MB")
     if fault := wheel_contents.fault(wheel):
         raise StepError(f"wheel: {fault}")
 
 
 def wheel_python() -> Path:
-    """Return the Python of an environment with the wheel of this run."""
+    """Return the Python interpreter of an environment with the wheel of this run."""
     wheel = make_wheel()
     python = make_venv("wheel", *TEST_REQUIREMENTS, *VIEWER_REQUIREMENTS, "mypy")
     if not wheel_python.installed:
@@ -278,7 +278,7 @@ def python() -> None:
     """Check the wheel: size, dependencies and stubs. Run pytest against the wheel."""
     check_wheel(make_wheel())
     interpreter = wheel_python()
-    # Not from the repository: its python/ folder must not shadow the installed package.
+    # Runs outside of the repository, whose python/ folder would shadow the installed package.
     with tempfile.TemporaryDirectory() as folder:
         settings = f"--mypy-config-file={ROOT / 'pyproject.toml'}"
         stubtest = [interpreter, "-m", "mypy.stubtest", "novaphy", "--concise", settings]
@@ -304,7 +304,7 @@ def viewer_tests_ran(junit: Path) -> None:
 @step
 def distributed() -> None:
     """Ranks by torch.distributed, Ray and MPI, with the libraries of all three."""
-    # torch is Debian's, which was built for NumPy 1.
+    # torch is Debian's package, which was built for NumPy 1.
     libraries = (*TEST_REQUIREMENTS, "numpy<2", "ray>=2.9", "mpi4py>=4", "mpich")
     interpreter = make_venv("distributed", *libraries, options=("--system-site-packages",))
     pip("distributed", interpreter, "install", "--no-deps", "--force-reinstall", make_wheel())
@@ -319,7 +319,7 @@ def editable() -> None:
     interpreter = make_venv(
         "editable", "scikit-build-core>=0.10", "numpy", "pytest", "pytest-xdist"
     )
-    # The pybind11 that the wheel was built with: the compiler cache then knows the objects.
+    # The same pybind11 as for the wheel, so that the compiler cache finds the objects.
     pybind11 = output_of(sys.executable, "-m", "pybind11", "--cmakedir").strip()
     options = (
         "-DNOVAPHY_BUILD_TESTS=OFF -DNOVAPHY_BUILD_VBD=OFF -DNOVAPHY_WITH_IO=OFF "
@@ -383,7 +383,7 @@ def hashes() -> None:
     compare = [wheel_python(), "-W", "ignore", "tools/bench/hash_scenes.py"]
     with results.timed("tests"):
         run("hashes", *compare)
-    # The wheel's module on libraries that have code for devices.
+    # The wheel's native module, with libraries that have code for devices.
     targets = ("novaphy_io", "novaphy_diff", "plugin_fake_ahead", "fake_driver")
     tree = build("dev", "-DNOVAPHY_WITH_IO=ON", targets=targets)
     fake = tree / "tests" / "fake_driver"
@@ -398,7 +398,7 @@ def hashes() -> None:
 
 
 def build_slice(preset: str, *options: str, cases: str = "", folders: str = "none") -> Path:
-    """Build a slice and look at its libraries; its options change only some cases of the tests."""
+    """Build some libraries and check them. The options change only some of the test cases."""
     tree = build(preset, f"-DNOVAPHY_TESTS={folders}", *options)
     ctest(preset, "--preset", preset, "-R", "|".join(filter(None, (FROM_OUTSIDE, cases))))
     return tree
@@ -438,7 +438,7 @@ def symbols() -> None:
     for name in ("core", "collision", "dynamics"):
         library = tree / "lib" / f"libnovaphy_{name}.so"
         dynamic = output_of("nm", "-DC", library)
-        # The reader of Programs (nova::ir) belongs to the CPU backend, which core links in.
+        # The reader of Programs (nova::ir) belongs to the CPU backend, which is linked into core.
         pattern = re.compile(r"(?<![\w:])nova::" + (r"(?!ir::)" if name == "core" else ""))
         lines = (output_of("nm", "-C", library) + dynamic).splitlines()
         if bad := [line for line in lines if pattern.search(line)]:
@@ -509,7 +509,7 @@ def tsan() -> None:
 
 
 def run_step(name: str, function: Callable[[], None]) -> None:
-    """Run one step under its header."""
+    """Run one step, and print its name before."""
     print(f"== {name}: {function.__doc__.splitlines()[0]}", flush=True)
     results.steps.append(Step(name))
     start, cpu, before = time.monotonic(), processor_seconds(), results.passed + results.failed
@@ -526,7 +526,7 @@ def run_step(name: str, function: Callable[[], None]) -> None:
 
 
 def main() -> int:
-    """Run the steps asked for, the default ones, or all."""
+    """Run the steps of the command line, the default steps, or all steps."""
     parser = argparse.ArgumentParser(prog="tools/run_tests.sh", description="Run the tests.")
     parser.add_argument("steps", nargs="*", metavar="STEP", help="only these steps, in this order")
     parser.add_argument("--all", action="store_true", help="all steps, as CI runs them")
@@ -550,7 +550,7 @@ def main() -> int:
 
     shutil.rmtree(LOGS, ignore_errors=True)
     start = time.monotonic()
-    # dev and the wheel have all that the step tests has, with the kernels of every instruction set.
+    # The steps dev and wheel include the step tests, with the kernels of every instruction set.
     every = [name for name in STEPS if name != "tests"]
     if arguments.library:
         run_step(arguments.library, partial(library, arguments.library))

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Set up what the tests need on a bare Debian 12 or Ubuntu 24.04 machine and run them: one build with the Python
-# module, its tests, and the ball.
+# Installs what the tests need on a bare Debian 12 or Ubuntu 24.04 machine, and runs them. Without arguments:
+# the lints, one build with the Python module, its tests, and the ball demo.
 #
 #   tools/run_tests.sh --all                        every slice, the wheel, sanitizers, the fake GPU: what CI runs
 #   tools/run_tests.sh [STEP]...                    for example: tools/run_tests.sh cpu-diff python
@@ -8,9 +8,9 @@
 #   tools/run_tests.sh --times [...]                with the time of each step, and the slowest cases
 #   tools/run_tests.sh --list                       the steps
 #
-# The last line is `tests: N passed, M failed, K skipped`, over CTest and pytest together; what fails without being
-# a test (a build, a lint, a size, a step whose tests did not run) counts as one failed. The exit code is 0 only when
-# nothing failed. Logs are in build/log. PYTHON chooses another Python.
+# The last line is `tests: N passed, M failed, K skipped`, over CTest and pytest together. A failure that is
+# not a test counts as one failed: a build, a lint, a size, or a step whose tests did not run. The exit code
+# is 0 only if nothing failed. Logs are in build/log. The variable PYTHON chooses another Python.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 . tools/setup.sh
@@ -21,12 +21,12 @@ for step in "${@:-tests}"; do
     --all | python) packages+=("${OPENGL_PACKAGES[@]}" "${DISPLAY_PACKAGES[@]}") ;;
     tests | --times) packages+=("${OPENGL_PACKAGES[@]}") ;;
   esac
-  case $step in --all | dev) packages+=(clang-14) ;; esac # a front end for CUDA, which stands in for a vendor's
+  case $step in --all | dev) packages+=(clang-14) ;; esac # a CUDA front end in place of a vendor's
   case $step in --all | distributed) packages+=(python3-torch) ;; esac
   case $step in --all | fcl) packages+=(libfcl-dev) ;; esac
 done
 install_packages "${packages[@]}"
 find_python
-# Newer versions of the lints may ask for more.
+# The versions are fixed, because newer lints may ask for more.
 make_venv build/venv/tools "${WHEEL_REQUIREMENTS[@]}" "ruff==0.17.6" "codespell==2.4.3"
 exec build/venv/tools/bin/python tools/run_tests.py "$@" </dev/null

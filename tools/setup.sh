@@ -1,12 +1,13 @@
-# Shared by run_ball.sh and run_tests.sh (sourced, not run): system packages, the Python to use, and a virtual
-# environment. Everything here does nothing when it is done already, so a second run needs no network.
+# Functions for run_ball.sh and run_tests.sh, which source this file: system packages, the Python to use, and
+# a virtual environment. A function does nothing if its work is already done, so that a second run needs no
+# network.
 
 die() {
   printf 'error: %s\n' "$*" >&2
   exit 1
 }
 
-# install_packages PACKAGE...: the Debian or Ubuntu packages that are missing.
+# install_packages PACKAGE...: installs the Debian or Ubuntu packages that are missing.
 install_packages() {
   local missing=() package
   if ! command -v apt-get >/dev/null || ! command -v dpkg-query >/dev/null; then
@@ -29,7 +30,7 @@ install_packages() {
     </dev/null >/dev/null || die "apt-get could not install: ${missing[*]}"
 }
 
-# find_python: sets PYTHON to a Python 3.11 to 3.13 with headers; $PYTHON of the caller wins.
+# find_python: sets PYTHON to a Python 3.11 to 3.13 with headers. A PYTHON of the caller has priority.
 find_python() {
   local candidate ok='import sys, sysconfig, os; sys.exit(not ((3, 11) <= sys.version_info[:2] <= (3, 13) and
     os.path.exists(os.path.join(sysconfig.get_path("include"), "Python.h"))))'
@@ -46,7 +47,7 @@ find_python() {
   die "no Python 3.11 to 3.13 with its headers; set PYTHON to one"
 }
 
-# make_venv DIRECTORY REQUIREMENT...: a virtual environment with these packages, made or brought up to date.
+# make_venv DIRECTORY REQUIREMENT...: makes or updates a virtual environment with these packages.
 make_venv() {
   local venv=$1
   shift
@@ -59,13 +60,14 @@ make_venv() {
   echo "$wanted" >"$stamp"
 }
 
-# The packages that compile the project.
+# System packages that compile the project.
 BUILD_PACKAGES=(g++ cmake ninja-build ccache libtbb-dev python3 python3-dev python3-venv ca-certificates)
-# OpenGL without a display, with which viewers draw pictures and videos.
+# System packages for OpenGL without a display, with which viewers draw pictures and videos.
 OPENGL_PACKAGES=(libegl1 libgl1 libgl1-mesa-dri ffmpeg)
-# An X server and its library, and a browser, for the tests of windows and pages.
+# System packages for the tests of windows and pages: an X server with its library, and a browser.
 DISPLAY_PACKAGES=(libxrender1 xvfb)
-# Ubuntu has Chromium as a snap only, which no container runs: there the tests of pages need google-chrome.
+# Ubuntu has Chromium only as a snap, which does not run in a container. On Ubuntu the tests of pages need
+# google-chrome.
 grep -qs '^ID=ubuntu' /etc/os-release || DISPLAY_PACKAGES+=(chromium)
-# The packages of PyPI that make the wheel.
+# PyPI packages that build the wheel.
 WHEEL_REQUIREMENTS=("scikit-build-core>=0.10" "pybind11>=2.13" "numpy>=1.26")

@@ -1,4 +1,4 @@
-"""What the tests of a run gave: cases of JUnit files, the time of each step, and the slow cases."""
+"""The results of the tests of a run: cases of JUnit files, time of each step, and slow cases."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-# A case that takes longer needs a line in tests/slow.txt.
+# A case that takes longer (s) needs a line in tests/slow.txt.
 SLOW_SECONDS = 20.0
-# Seconds of reference_work() on the machine of the times in tests/slow.txt, a Xeon of 2.6 GHz.
+# Seconds that reference_work() takes on the machine whose times tests/slow.txt has, a 2.6 GHz Xeon.
 REFERENCE_SECONDS = 0.12
 
 
@@ -23,13 +23,13 @@ def case_name(case: ElementTree.Element) -> str:
 
 
 def processor_seconds() -> float:
-    """Return the processor time of ended child processes (s)."""
+    """Return the processor time of child processes that have ended (s)."""
     times = os.times()
     return times.children_user + times.children_system
 
 
 def reference_work() -> float:
-    """Return the time of a fixed piece of Python on this machine, the best of three (s)."""
+    """Return the time of a fixed Python computation on this machine, the best of three runs (s)."""
     best = float("inf")
     for _ in range(3):
         start, total = time.perf_counter(), 0
@@ -46,7 +46,7 @@ def slower_than_reference() -> float:
 
 @dataclass
 class Step:
-    """The seconds of one step, the shares of its builds and test runs, and its processor time."""
+    """The times of one step (s): total, builds, test runs, and processor time."""
 
     name: str
     total: float = 0.0
@@ -57,7 +57,7 @@ class Step:
 
 @dataclass
 class Results:
-    """The results of a run so far."""
+    """The results of the current run so far."""
 
     passed: int = 0
     failed: int = 0
@@ -67,7 +67,7 @@ class Results:
     steps: list[Step] = field(default_factory=list)
 
     def add_junit(self, path: Path, what: str) -> int:
-        """Add a JUnit file; returns its number of failed cases."""
+        """Add the cases of a JUnit file. Return the number of failed cases."""
         cases = list(ElementTree.parse(path).iter("testcase"))
         failed = [c for c in cases if c.find("failure") is not None or c.find("error") is not None]
         skipped = [c for c in cases if c.find("skipped") is not None and c not in failed]
@@ -88,13 +88,13 @@ class Results:
         return len(failed)
 
     def fail(self, problem: str) -> None:
-        """Count a failure that is no test."""
+        """Count a failure that is not a test case."""
         self.failed += 1
         self.problems.append(problem)
 
     @contextmanager
     def timed(self, share: str) -> Iterator[None]:
-        """Add the time of a block to the "build" or the "tests" of the present step."""
+        """Add the time of a block to the "build" or the "tests" of the current step."""
         start = time.monotonic()
         try:
             yield
@@ -114,9 +114,10 @@ class Results:
             print(f"{seconds:>8.1f} {name}")
 
     def check_slow(self, listed: Path) -> None:
-        """Fail on a slow case without a line in the list, and on a line without its case.
+        """Count a failure for each slow case without a line in the list, and each line without its
+        case.
 
-        Steps without a line are left out.
+        Lines of steps that did not run are ignored.
         """
         reasons = read_slow(listed)
         steps = {name.partition(":")[0] for name in reasons}
@@ -133,7 +134,7 @@ class Results:
 
 
 def read_slow(listed: Path) -> dict[str, str]:
-    """Return case -> reason from lines `step: case | reason`, without comments and empty lines."""
+    """Return case -> reason from lines `step: case | reason`. Skip comments and empty lines."""
     reasons = {}
     for line in listed.read_text(encoding="utf-8").splitlines():
         if not line.strip() or line.startswith("#"):

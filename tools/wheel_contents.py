@@ -1,4 +1,4 @@
-"""What the wheel may be: small, and in need of NumPy and a Linux only."""
+"""Check the size and the dependencies of a wheel: it needs only NumPy and a Linux system."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SYSTEM_LIBRARIES = re.compile(
 
 
 def fault(wheel: Path) -> str:
-    """Return the first fault of a wheel; empty: none."""
+    """Return a message for the first fault of a wheel, or "" if the wheel has no fault."""
     if (size := wheel.stat().st_size) >= MAX_BYTES:
         return f"{size} bytes, allowed are {MAX_BYTES}"
     with zipfile.ZipFile(wheel) as archive:

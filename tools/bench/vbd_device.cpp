@@ -1,13 +1,14 @@
-// Times a substep of VBD on a device: the cloth of bench_vbd.py, in C++ and captured.
+// Measures the time of a substep of VBD on a device: the cloth of bench_vbd.py, in C++ and
+// captured.
 //
 //   novaphy_bench_vbd_device DEVICE CELLS_X CELLS_Y SUBSTEPS [--sphere] [--direct] [--backward]
 //
-// --backward, on the CPU: the CPU time of a substep and of its unrolled derivative by the
-// positions.
+// With --backward, on the CPU: measures the CPU time of a substep, and of its unrolled derivative
+// with respect to the positions.
 //
-// Prints the wall time of a substep (the fastest of five turns), and a hash of the positions after
-// 20 + 5 SUBSTEPS of them, which is the same on every device. NOVAPHY_VBD_SWEEP chooses how colors
-// move.
+// Prints the wall time of a substep (the fastest of five rounds). Also prints a hash of the
+// positions after 20 + 5 SUBSTEPS substeps, which is the same on every device. The environment
+// variable NOVAPHY_VBD_SWEEP chooses the kernel that moves a color.
 #include <algorithm>
 #include <chrono>
 #include <cstdio>
@@ -51,7 +52,7 @@ std::shared_ptr<Model> make_model(Device device, int32_t x, int32_t y, bool sphe
 
 double cpu_seconds() { return static_cast<double>(std::clock()) / CLOCKS_PER_SEC; }
 
-// The fastest of some calls.
+// Returns the time of the fastest of `calls` calls (s).
 template <class Function>
 double fastest(int calls, const Function& function) {
   double best = 1e30;

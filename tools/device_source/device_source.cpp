@@ -25,7 +25,7 @@ std::string read(const fs::path& path) {
   return {std::istreambuf_iterator<char>(file), {}};
 }
 
-// Returns the name between the quotes of `#include "..."`, at the beginning of a line.
+// Returns the name in `#include "NAME"` at the beginning of a line.
 std::optional<std::string_view> quoted_include(std::string_view line) {
   constexpr std::string_view begin = "#include \"";
   if (line.substr(0, begin.size()) != begin) return std::nullopt;
@@ -35,7 +35,7 @@ std::optional<std::string_view> quoted_include(std::string_view line) {
   return line.substr(0, end);
 }
 
-// The name of `"<code>.inc"`, where text begins with such an include.
+// Returns the name of `"<code>.inc"` if the text begins with such an include, else an empty text.
 std::string_view made_code(std::string_view text) {
   const auto name = quoted_include(text);
   constexpr std::string_view suffix = ".inc";
@@ -52,7 +52,7 @@ void replace_all(std::string& text, std::string_view from, std::string_view to) 
     text.replace(at, from.size(), to);
 }
 
-// Matches includes and `#pragma once`, with the rest of their line.
+// Returns the text without includes and `#pragma once`. The rest of these lines is removed, too.
 std::string without_includes(std::string_view text) {
   std::string result;
   while (!text.empty()) {
@@ -73,7 +73,8 @@ std::string without_includes(std::string_view text) {
   return result;
 }
 
-// Lines that C++20 completes by itself, `bool operator==(...) const = default;`.
+// Returns the text without lines `bool operator==(...) const = default;`, which C++17 does not
+// have.
 std::string without_defaulted_comparisons(std::string_view text) {
   constexpr std::string_view end = " = default;";
   std::string result;
@@ -124,7 +125,7 @@ void append(const fs::path& path, const std::vector<fs::path>& folders, Source& 
   source.text += device_code(text);
 }
 
-// Returns the name and the words of a kernel. `text` begins after `NOVAPHY_ROW_KERNEL(`.
+// Returns the line for a kernel with its name and words. `text` begins after `NOVAPHY_ROW_KERNEL(`.
 std::string kernel_line(std::string_view text, std::string_view kind) {
   const auto take = [&text](auto&& belongs) {
     size_t size = 0;
@@ -149,7 +150,8 @@ std::string kernel_line(std::string_view text, std::string_view kind) {
   return "// kernel " + name + " " + words + " NOVAPHY_" + std::string(kind) + "\n";
 }
 
-// Calls `found(text after the marker, name)` for each piece of code that the build makes.
+// Splits the text at the includes of code that the build makes. Calls plain(text) for each text
+// between, and code(name) for each of these includes.
 template <class Text, class Code>
 void split_at_made_code(std::string_view text, const Text& plain, const Code& code) {
   for (;;) {

@@ -1,7 +1,8 @@
 // novaphy_device_source FOLDER HEADER INCLUDE_FOLDER...
-// Writes FOLDER/<name>.cuh, the kernels of a header for compilers of devices, and
-// FOLDER/<name>_source.cpp, the function novaphy::detail::<name>_source() that returns this text;
-// and FOLDER/<name>.d, the dependencies of both.
+//
+// Writes three files from the kernels of a header. FOLDER/<name>.cuh has the code for compilers of
+// devices. FOLDER/<name>_source.cpp has the function novaphy::detail::<name>_source(), which
+// returns this code as text. FOLDER/<name>.d has the dependencies of both files.
 #include <cstdio>
 #include <exception>
 #include <fstream>
@@ -21,7 +22,7 @@ void write(const fs::path& path, const std::string& text) {
   if (!file) throw std::runtime_error("device_source: cannot write " + path.string());
 }
 
-// A path as the makefile of dependencies has it.
+// Returns a path in the syntax of a dependency file (makefile).
 std::string escaped(const fs::path& path) {
   std::string result;
   for (const char c : path.string()) {

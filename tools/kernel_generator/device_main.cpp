@@ -1,11 +1,12 @@
-// Compiles device code ahead with NVRTC, which needs no GPU.
+// Compiles device code ahead of time with NVRTC, which needs no GPU.
 //
 //   novaphy_device_compiler OUTPUT_FILE ARCHITECTURES [--programs FILE] [--cache ARCHITECTURE]
 //
-// OUTPUT_FILE gets the builtins, the interpreter and the engine's kernels (with --programs, the
-// serialized Programs in FILE instead) for every architecture of the comma-separated list, and as
-// assembler text for devices newer than the last one. With --cache they go into the cache on disk
-// instead, as a run on such a device would leave them there.
+// OUTPUT_FILE gets the builtins, the interpreter and the engine's kernels, compiled for every
+// architecture of the comma-separated list. The file also has them as assembler text for devices
+// that are newer than the last architecture. With --programs, the serialized Programs in FILE
+// replace the engine's kernels. With --cache, the compiled code goes into the cache on disk
+// instead, as a run on a device of ARCHITECTURE would store it.
 #include <algorithm>
 #include <atomic>
 #include <cstring>
@@ -33,7 +34,7 @@
 
 namespace novaphy::gpu {
 
-// The generator is no plugin, so it has no kernels that were compiled ahead.
+// The generator is not a plugin, so it contains no kernels that were compiled ahead of time.
 AheadData ahead_data() { return {nullptr, 0}; }
 const VendorInfo& vendor() {
   static constexpr VendorInfo kNone = {"none",
@@ -67,7 +68,7 @@ struct Job {
   gpu::CompiledCode code;
 };
 
-// Several at a time: NVRTC may be called from several threads.
+// Compiles in several threads at a time, which NVRTC allows.
 void compile_all(std::vector<Job>& jobs) {
   std::atomic<size_t> next{0};
   const auto work = [&] {

@@ -1,11 +1,11 @@
-// Writes the device code that a Denglin build compiles ahead.
+// Writes the device code that a build for Denglin GPUs compiles ahead of time.
 //
 //   novaphy_dlan_sources FOLDER PARTS [--programs FILE]
 //
-// FOLDER gets kernels_0.cu to kernels_<PARTS - 1>.cu, which hold the builtins, the interpreter, the
-// hand-written kernels and the engine's (with --programs, the serialized Programs in FILE instead)
-// with a table of their host stubs each, and kernels.cu with the table of all. Files that would not
-// change stay as they are.
+// FOLDER gets the files kernels_0.cu to kernels_<PARTS - 1>.cu. They have the builtins, the
+// interpreter, the hand-written kernels and the engine's kernels, and each file has a table of its
+// host stubs. With --programs, the serialized Programs in FILE replace the engine's kernels. The
+// file kernels.cu has the table of all tables. Files that would not change are not written.
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
@@ -43,7 +43,7 @@ std::string table_type(const std::string& name) {
          name + "()";
 }
 
-// Texts that begin alike, with the prelude, in one file.
+// Returns the text of one file: the modules, which begin with the same prelude.
 std::string part(const std::vector<std::pair<std::string, gpu::Dialect>>& modules, size_t number) {
   const std::string prelude = gpu::prelude_text();
   const std::string scope = "part_" + std::to_string(number);
@@ -111,7 +111,7 @@ int run(int argc, char** argv) {
     std::cerr << "usage: " << argv[0] << " FOLDER PARTS [--programs FILE]\n";
     return 2;
   }
-  // Texts with macros of their own go to different files.
+  // Modules with different macros go into different files.
   std::vector<std::vector<std::pair<std::string, gpu::Dialect>>> all(parts);
   size_t next = 0;
   const auto add = [&](const std::string& source, gpu::Dialect dialect) {

@@ -1,11 +1,11 @@
-// Writes the C files that the CPU plugin's compiled kernels are made of.
+// Writes the C files with the compiled kernels of the CPU plugin.
 //
 //   novaphy_kernel_generator OUTPUT_FOLDER PARTS [--programs FILE]
 //
-// OUTPUT_FOLDER gets kernels_0.c to kernels_<PARTS - 1>.c: every kernel that the engine defines,
-// with the adjoints that it declares, and a table of them by hash. With --programs, the serialized
-// Programs in FILE instead (a conformance test collects them). The same engine gives the same
-// bytes.
+// OUTPUT_FOLDER gets the files kernels_0.c to kernels_<PARTS - 1>.c. They have every kernel that
+// the engine defines, the declared adjoints of these kernels, and a table of all by hash. With
+// --programs, the serialized Programs in FILE (which a conformance test collects) replace the
+// engine's kernels. The same engine always gives the same bytes.
 #include <algorithm>
 #include <cstdio>
 #include <cstdlib>
@@ -30,7 +30,7 @@ std::string hex(uint64_t value) {
   return text;
 }
 
-// Shares the Programs out so that the parts take about as long to compile.
+// Divides the Programs into parts that take about the same time to compile.
 std::vector<std::vector<const ir::Program*>> share_out(const std::vector<ir::Program>& programs,
                                                        size_t parts) {
   std::vector<const ir::Program*> by_size;
@@ -53,8 +53,8 @@ std::vector<std::vector<const ir::Program*>> share_out(const std::vector<ir::Pro
   return shares;
 }
 
-// Writes the function for a scan of launches and its description. Returns the address of the
-// description, or null if the Program has no scan.
+// Writes the function for a scan of launches, and the description of the function. Returns the
+// address of the description, or null if the Program has no scan.
 std::string scan_of(const ir::Program& p, const std::vector<ir::Program>& all, std::string& text) {
   const auto scan = ir::find_scan(p);
   if (!scan) return "NULL";
@@ -95,7 +95,7 @@ std::string file_text(const std::vector<const ir::Program*>& programs,
   return text;
 }
 
-// Writes a file only if its contents change, so that nothing is compiled again.
+// Writes a file only if its contents change, so that unchanged files are not compiled again.
 void write_if_different(const std::string& path, const std::string& text) {
   {
     std::ifstream old(path, std::ios::binary);

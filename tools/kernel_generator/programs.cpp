@@ -19,7 +19,7 @@ std::vector<ir::Program> engine_programs() {
   return nova::programs_of(kernels);
 }
 
-// Reads the Programs of a file. Each Program begins with a header that holds its length.
+// Reads the Programs of a file. Each Program begins with a header that has its length.
 std::vector<ir::Program> read_programs(const std::string& path) {
   std::ifstream file(path, std::ios::binary);
   if (!file) throw std::runtime_error("cannot read " + path);

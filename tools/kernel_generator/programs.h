@@ -1,4 +1,4 @@
-// The Programs that are compiled ahead.
+// The Programs that are compiled ahead of time.
 #pragma once
 
 #include <string>
@@ -8,7 +8,7 @@
 
 namespace generator {
 
-// Every kernel that the engine defines, with the adjoints that it declares.
+// Returns every kernel that the engine defines, and its declared adjoints.
 std::vector<nova::ir::Program> engine_programs();
 // Reads a file of serialized Programs that a conformance test collects. Returns each Program once.
 std::vector<nova::ir::Program> read_programs(const std::string& path);

@@ -1,31 +1,30 @@
 #!/usr/bin/env python3
-"""Fail on an include that points up the layers.
+"""Fail on an include of a higher layer.
 
-The libraries stand in layers, and each may use only the ones below it:
-
+The libraries form layers, and each library may use only the layers below it:
     abi <- core <- nova          core <- collision <- dynamics          core, collision <- vbd
     core <- io
     core, nova, collision, dynamics <- operators <- diff
-    a backend uses abi and the Program reader
+    a backend uses abi and the reader of Programs
 
-Besides the folders, three kinds of file have a layer of their own:
-
-* `diff_*` in collision/, dynamics/ and vbd/ are operators, kernels of the tensor runtime, and
-  compile into novaphy::dynamics where nova is built: the forward code of those folders may not
-  include them;
-* `*_trace.h` are the formulas that the forward engine and traced kernels share, `*_law.h` and the
-  headers of vbd/elements those that are not traced: they may include the math headers and other
-  formulas, and nothing else;
+Three kinds of files have a layer that follows from their names:
+* `diff_*` in collision/, dynamics/ and vbd/ are operators: kernels of the tensor runtime. They are
+  compiled into novaphy::dynamics if the build has nova. The forward code of these folders may not
+  include them.
+* `*_trace.h` are formulas that the forward engine and traced kernels share. `*_law.h` and the
+  headers of vbd/elements are formulas that are not traced. Formulas may include only the math
+  headers and other formulas.
 * `*_kernels.h` in collision/, dynamics/ and vbd/ are hand-written kernels, which compilers of
-  devices read too: formulas, the math headers, and those of core that need no library. So are all
-  headers of collision/geometry and dynamics/articulation, which kernels include.
+  devices read, too. They may include formulas, the math headers, and headers of core that need no
+  library. The same holds for all headers of collision/geometry and dynamics/articulation, because
+  kernels include them.
 
-The abi headers are C and may include <stdint.h> only; the math headers <cstdint> and <cmath>.
-Device code has assembler in vendors/cuda.cuh only.
-
+The abi headers are C and may include only <stdint.h>. The math headers may include only <cstdint>
+and <cmath>. In device code, only vendors/cuda.cuh may have assembler.
     tools/lint/check_layers.py [ROOT]
 
-Prints one line per fault and exits with 1 when there is one, with 2 when ROOT holds no sources.
+The program prints one line for each fault. The exit code is 1 if a fault exists, and 2 if ROOT has
+no sources.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ import re
 import sys
 from pathlib import Path
 
-# Layer -> the layers it may include besides itself.
+# Layer -> other layers that it may include.
 ALLOWED: dict[str, set[str]] = {
     "abi": set(),
     "math": set(),
@@ -48,7 +47,7 @@ ALLOWED: dict[str, set[str]] = {
     "nova": {"abi", "math", "core", "program"},
     "io": {"math", "core"},
     "formula": {"math"},
-    "launch": {"abi", "math", "core", "text"},  # device text reads the twins of these headers
+    "launch": {"abi", "math", "core", "text"},  # devices read core/device in place of these
     "kernels": {"math", "formula", "text", "launch"},
     "collision": {"math", "core", "formula", "kernels"},
     "dynamics": {"math", "core", "collision", "formula", "kernels"},
@@ -56,7 +55,7 @@ ALLOWED: dict[str, set[str]] = {
     "operators": {"math", "core", "nova", "formula", "collision", "dynamics", "vbd"},
     "diff": {"math", "core", "nova", "formula", "collision", "dynamics", "vbd", "operators"},
 }
-# Headers of core that any user of core may include, and device text too.
+# Headers of core that any user of core may include, and that device code may include, too.
 TEXT_HEADERS = {
     "row_scratch.h",
     "row_stack.h",
@@ -65,17 +64,17 @@ TEXT_HEADERS = {
     "shape_pair_rule.h",
     "export.h",
 }
-# Headers that declare hand-written kernels for the host and for device text.
+# Headers that declare hand-written kernels, both for the host and for devices.
 LAUNCH_HEADERS = {"row_kernel.h", "launch_arguments.h"}
 for allowed in [allowed for allowed in ALLOWED.values() if "core" in allowed] + [ALLOWED["core"]]:
     allowed.update(("text", "launch"))
-# Layers that may use these system headers only.
+# Layer -> the only system headers that it may use.
 SYSTEM_HEADERS: dict[str, set[str]] = {
     "abi": {"stdint.h"},
     "math": {"cstdint", "cmath"},
     "formula": set(),
 }
-# Folder of the repository -> layer. The longest match counts.
+# Folder of the repository -> layer. The longest matching folder counts.
 FOLDERS = {
     "backends/abi": "abi",
     "backends/program": "program",
@@ -101,7 +100,7 @@ INCLUDE = re.compile(r'^\s*#\s*include\s*(?:"([^"]+)"|<([^>]+)>)')
 
 
 def by_name(layer: str, name: str) -> str:
-    """Return the layer of a library's file by its name."""
+    """Return the layer of a library's file, which the name of the file may decide."""
     if layer in ("collision", "dynamics", "vbd") and name.endswith(("_trace.h", "_law.h")):
         return "formula"
     if layer in ("collision", "dynamics", "vbd") and name.endswith("_kernels.h"):
@@ -141,7 +140,7 @@ def layer_of_include(text: str, quoted: bool, path: Path, root: Path) -> str | N
 
 
 def check_file(path: Path, root: Path) -> list[str]:
-    """Return the faults of one file."""
+    """Return a message for each fault of a file."""
     layer = layer_of_file(path, root)
     if layer is None:
         return []
@@ -168,13 +167,13 @@ def check_file(path: Path, root: Path) -> list[str]:
 
 
 def sources(root: Path) -> list[Path]:
-    """Return all C and C++ files of the layered folders."""
+    """Return all C and C++ files of the folders that have a layer."""
     top = sorted({folder.split("/")[0] for folder in FOLDERS})
     return sorted(p for t in top for p in (root / t).rglob("*") if p.suffix in SUFFIXES)
 
 
 def main(arguments: list[str]) -> int:
-    """Check a tree."""
+    """Check a source tree."""
     default = Path(__file__).parents[2]
     root = Path(arguments[0] if arguments else default).resolve()
     files = sources(root)

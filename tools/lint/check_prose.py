@@ -1,14 +1,13 @@
 #!/usr/bin/env python3
-"""Count sentences that docs/style.md forbids, and hold the lists of them.
-
-    tools/lint/check_prose.py              figures of each group of texts
-    tools/lint/check_prose.py --lists      the sentences besides
+"""Count sentences that docs/style.md forbids, and compare the counts with a list.
+    tools/lint/check_prose.py              counts for each group of texts
+    tools/lint/check_prose.py --lists      also print the sentences
     tools/lint/check_prose.py --check      compare the counts with tools/lint/prose.txt
-    tools/lint/check_prose.py --write      write lower numbers, and drop what is mended
+    tools/lint/check_prose.py --write      write lower counts, and remove entries without a fault
 
-prose.txt has the numbers of today's faults by file. The numbers may only shrink. The texts are
-README, guides, pages, design notes, docstrings of Python and of the bindings, and the comments
-at the head of C++ headers. Code, formulas and headings are left out.
+prose.txt has the count of known faults of each file. The counts may only shrink. The texts are
+README, guides, pages, design notes, docstrings of Python and of the bindings, and the comments at
+the head of C++ headers. Code, formulas and headings do not count.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from ratchet import check_or_write, read_options
 
 MOST_WORDS = 30  # in a sentence
 MOST_PARAGRAPH_WORDS = 90
-LEAST_WORDS = 4  # a shorter piece is a label of a table, no sentence
+LEAST_WORDS = 4  # a shorter text is a label of a table and not a sentence
 
 HEAD = """\
 # Today's faults of prose by file. The numbers may only shrink: tools/lint/check_prose.py --check
@@ -32,7 +31,7 @@ HEAD = """\
 
 ABBREVIATION = re.compile(r"\b(e\.g|i\.e|cf|vs|Fig|eq|Eq|etc|al|no|No|resp|approx)\.(?=\s)")
 END = re.compile(r"(?<=[.!?])[\"')\]*]*\s+(?=[A-Z\"'(\[*]|code\b|\d)")
-# Openings that hide the subject of a sentence or stand for a noun that the reader has to find.
+# Openings that hide the subject of a sentence, or that stand for a noun of another sentence.
 OPENING = re.compile(
     r"(of|what|that|those|others|it|they|who|whose|which|nor)\b(?![-'])"
     r"|there\b(?! (is|are|was|were)\b)",
@@ -41,7 +40,7 @@ OPENING = re.compile(
 
 
 def words(text: str) -> int:
-    """Count words; a sign alone is none."""
+    """Return the number of words. A sign without a letter or digit is not a word."""
     return sum(1 for word in text.split() if re.search(r"\w", word))
 
 
@@ -58,7 +57,7 @@ def is_long(sentence: str) -> bool:
 
 
 def opens_badly(sentence: str) -> bool:
-    """Return whether a sentence begins with a forbidden opening; a question may."""
+    """Return whether a sentence begins with a forbidden opening. A question may begin with one."""
     return bool(OPENING.match(sentence)) and not sentence.rstrip(")*\"' ").endswith("?")
 
 
@@ -85,7 +84,7 @@ FAULTS: dict[str, Callable[[Text], list[str]]] = {
 
 
 def print_figures(texts: list[Text]) -> None:
-    """Print a line of figures for each group."""
+    """Print a line of counts for each group of texts."""
     print(f"{'':18}{'files':>6}{'sentences':>11}{'mean words':>12}", end="")
     print(f"{f'over {MOST_WORDS}':>9}{'share':>8}{'openings':>10}{'paragraphs':>12}")
     for group in GROUPS:
@@ -100,7 +99,7 @@ def print_figures(texts: list[Text]) -> None:
 
 
 def print_faults(texts: list[Text]) -> None:
-    """Print every sentence and paragraph of every fault."""
+    """Print all sentences and paragraphs with a fault."""
     for title, find in FAULTS.items():
         print(f"\n[{title}]")
         for text in texts:
@@ -109,7 +108,7 @@ def print_faults(texts: list[Text]) -> None:
 
 
 def main(arguments: list[str]) -> int:
-    """Print the figures, or compare or write the lists."""
+    """Print the counts, compare them with the list, or write the list."""
     options = read_options(arguments, "Count sentences that docs/style.md forbids.", "sentence")
     texts = read_texts(options.root)
     if not (options.check or options.write):

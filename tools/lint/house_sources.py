@@ -1,4 +1,4 @@
-"""Sources without their comments and strings, and their functions: what measure_house.py counts."""
+"""Read sources without comments and strings, and find their functions, for measure_house.py."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ CXX = (".h", ".hpp", ".cpp", ".cuh", ".inc")
 SUFFIXES = {*CXX, ".py", ".pyi"}
 
 TOKEN = re.compile(r"[A-Za-z_]\w*|\d[\w.']*|\"|::|->|<<|>>|&&|\|\||[-+*/%&|^=!<>]=|\+\+|--|[^\s\w]")
-# A comment, a raw string, a string or a character of C++; the quote of 1'000 is none.
+# A comment, a raw string, a string or a character of C++. The quote in the number 1'000 is none of
+# these.
 CXX_TEXT = re.compile(
     r"//(?:\\\n|[^\n])*|/\*.*?\*/"
     r"|\bR\"(?P<end>[^(\s]*)\(.*?\)(?P=end)\""
@@ -30,13 +31,13 @@ DIRECTIVE = re.compile(r"^[ \t]*#(?:\\\n|[^\n])*", re.MULTILINE)
 
 @dataclass
 class Source:
-    """A file without its comments, its strings emptied; lines stay where they were."""
+    """A file without its comments and with empty strings. Lines keep their numbers."""
 
     name: str
     room: str
     lines: int
     code: str
-    tree: ast.Module | None = None  # of a Python file
+    tree: ast.Module | None = None  # only for a Python file
 
     @property
     def is_cxx(self) -> bool:
@@ -47,7 +48,7 @@ class Source:
 
 
 def blank(found: re.Match[str]) -> str:
-    """Return the replacement of a comment or a string."""
+    """Return the replacement of a comment or a string of C++."""
     text = found.group()
     breaks = "\n" * text.count("\n")
     if text.startswith(("//", "/*", "#")):
@@ -79,7 +80,7 @@ def without_docstrings(text: str, tree: ast.Module) -> str:
 
 
 def read_sources(root: Path) -> list[Source]:
-    """Return the sources of all rooms."""
+    """Return the sources of all folders that measure_house.py measures."""
     sources = []
     for path in sorted(
         p for room in ROOMS for p in (root / room).rglob("*") if p.suffix in SUFFIXES
@@ -108,7 +109,7 @@ FUNCTION_NAME = re.compile(r"(operator\s*[^\s\w(]+|operator\(\)|~?\w+)\s*\(")
 
 
 def without_nested(text: str, opening: str, closing: str) -> str:
-    """Return the text with empty outermost pairs of brackets."""
+    """Return the text with the content of the outermost brackets removed."""
     kept, depth = [], 0
     for c in text:
         if c == closing and depth:
@@ -149,9 +150,9 @@ def opens(head: str) -> str:
 
 
 def cxx_functions(code: str) -> Iterator[tuple[str, int]]:
-    """Yield names and lines of functions, and of the bodies of kernels."""
+    """Yield name and number of lines of each function and of each body of a kernel."""
     code = DIRECTIVE.sub(lambda found: "\n" * found.group().count("\n"), code)
-    inside = depth = head_at = 0  # depth of blocks within a function or another block
+    inside = depth = head_at = 0  # depth: number of open blocks within a function or another block
     name, first, is_function, is_value = "", 0, False, False
     for mark in re.finditer(r"[{};]", code):
         if inside:
@@ -162,7 +163,7 @@ def cxx_functions(code: str) -> Iterator[tuple[str, int]]:
             if is_function:
                 yield name, code.count("\n", first, mark.start()) + 1
             if is_value:
-                continue  # the head goes on behind the value
+                continue  # the declaration continues after the value
         elif mark.group() == "{":
             head = code[head_at : mark.start()]
             kind = opens(LABEL.sub("", re.sub(r"\[\[.*?\]\]", "", head).lstrip()))
@@ -181,7 +182,7 @@ def cxx_functions(code: str) -> Iterator[tuple[str, int]]:
 
 
 def python_functions(tree: ast.Module) -> Iterator[tuple[str, int]]:
-    """Yield names and lines of functions."""
+    """Yield name and number of lines of each function of a Python file."""
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             yield node.name, node.end_lineno - node.lineno + 1

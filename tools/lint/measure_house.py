@@ -1,17 +1,16 @@
 #!/usr/bin/env python3
-"""Measure the sources, and hold the lists of their faults.
-
+"""Measure the sources, and compare their faults with a list.
     tools/lint/measure_house.py            sizes of the folders, and the counts
-    tools/lint/measure_house.py --lists    every entry of every count besides
+    tools/lint/measure_house.py --lists    also print every entry of every count
     tools/lint/measure_house.py --check    compare the counts with tools/lint/house.txt
-    tools/lint/measure_house.py --write    write lower numbers, and drop what is mended
+    tools/lint/measure_house.py --write    write lower counts, and remove entries without a fault
 
-house.txt names today's faults with their numbers. The lists may only shrink: --check fails on a
-new entry and on a higher number, and names them. --write never raises a number. The entry of a
-renamed file is edited by hand. Where there is no file, --write begins one.
+house.txt lists the known faults with their counts. The lists may only shrink: --check fails on a
+new entry and on a higher count, and prints their names. --write never raises a count. The entry of
+a renamed file is edited by hand. If house.txt does not exist, --write creates it.
 
-Tests are left out. Tokens are identifiers, numbers and operators; a string is one token. Line
-breaks and comments change no number of tokens.
+Tests are not measured. Tokens are identifiers, numbers and operators, and a string is one token.
+Line breaks and comments do not change the number of tokens.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ from ratchet import Counts, check_or_write, read_options
 
 MOST_FUNCTION_LINES = 60
 MOST_FILE_LINES = 400
-MOST_DRIVES = 8  # drive arrays of a joint that a file may name, of 12
+MOST_DRIVES = 8  # arrays of joint drives that a file may name, of 12
 
 # ---- counts ----
 
@@ -61,7 +60,7 @@ def long_files(sources: list[Source]) -> Counts:
 
 
 def matches(pattern: str, rooms: tuple[str, ...]) -> Callable[[list[Source]], Counts]:
-    """Return a counter of the matches of a pattern in the files of some rooms."""
+    """Return a function that counts the matches of a pattern in the files of some folders."""
     compiled = re.compile(pattern, re.MULTILINE)
 
     def count(sources: list[Source]) -> Counts:
@@ -112,7 +111,7 @@ KINDS = {
 
 
 def files_of_kinds(sources: list[Source]) -> Counts:
-    """Count the files that name each kind, without demos and benchmarks."""
+    """Return how many files name each kind, without demos and benchmarks."""
     found = {}
     for kind, pattern in KINDS.items():
         compiled = re.compile(pattern)
@@ -175,7 +174,7 @@ def print_counts(now: dict[str, Counts], entries: bool) -> None:
 
 
 def main(arguments: list[str]) -> int:
-    """Print the measures, or compare or write the lists."""
+    """Print the measures, compare the counts with the list, or write the list."""
     options = read_options(arguments, "Measure the sources.", "entry")
     sources = read_sources(options.root)
     now = {title: count(sources) for title, count in COUNTS.items()}

@@ -1,4 +1,4 @@
-"""The prose of the repository as blocks of plain words: what check_prose.py counts."""
+"""Read the prose of the repository as blocks of plain words, for check_prose.py."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 LIBRARIES = ("backends", "core", "nova", "io", "collision", "dynamics", "vbd", "diff")
-# Group -> the patterns of its files, below the root.
+# Group -> glob patterns of its files, relative to the root.
 GROUPS = {
     "README": ("README.md",),
     "guides": ("docs/guide/*.md",),
@@ -25,14 +25,14 @@ ITEM = re.compile(r"^\s*([-*]|\d+\.)\s+")
 CELLS = re.compile(r"(?<!\\)\|")
 CODE = re.compile(r"``.+?``|`[^`]+`")
 LINKED = re.compile(r"!?\[([^\]]*)\]\([^)]*\)")
-# A string literal of C++, raw or not, and neighboring ones.
+# One or more neighboring string literals of C++, raw or not.
 LITERAL = re.compile(r'R"\((.*?)\)"|"((?:\\.|[^"\\\n])*)"', re.DOTALL)
 LITERALS = re.compile(r'(?:R"\(.*?\)"|"(?:\\.|[^"\\\n])*"|\s)+', re.DOTALL)
 
 
 @dataclass
 class Text:
-    """A file and its blocks of prose: paragraphs, list items, cells of tables."""
+    """A file and its blocks of prose: paragraphs, list items and cells of tables."""
 
     name: str
     group: str
@@ -40,13 +40,13 @@ class Text:
 
 
 def plain(text: str) -> str:
-    """Return prose on one line. Code and links become their words."""
+    """Return prose on one line. Code becomes the word "code", and a link becomes its text."""
     text = CODE.sub("code", " ".join(text.split()))
     return LINKED.sub(r"\1", text).replace("**", "").replace("\\", "")
 
 
 def markdown_blocks(text: str) -> Iterator[str]:
-    """Yield paragraphs, list items and cells of tables; code and headings are left out."""
+    """Yield paragraphs, list items and cells of tables, without code and headings."""
     lines: list[str] = []
     for line in [*FENCE.sub("", text).splitlines(), ""]:
         starts = not line.strip() or SKIPPED.match(line) or line.startswith("|") or ITEM.match(line)
@@ -61,7 +61,7 @@ def markdown_blocks(text: str) -> Iterator[str]:
 
 
 def docstring_blocks(text: str) -> Iterator[str]:
-    """Yield paragraphs and arguments; code, whose lines stand deeper than their neighbors, not."""
+    """Yield paragraphs and descriptions of arguments, without code (lines with a larger indent)."""
     for paragraph in re.split(r"\n\s*\n", text):
         kept = [line for line in paragraph.splitlines() if not re.match(r"\s*(>>>|\.\.\. )", line)]
         for part in re.split(r"\n(?=\s*[\w, /*]+: )", "\n".join(kept)):
@@ -77,7 +77,7 @@ def python_blocks(text: str) -> Iterator[str]:
 
 
 def binding_blocks(text: str) -> Iterator[str]:
-    """Yield the blocks of the docstrings in a file of bindings: literals that end a sentence."""
+    """Yield the blocks of docstrings in a file of bindings: string literals that end a sentence."""
     for found in LITERALS.finditer(re.sub(r"^\s*(//|#).*$", "", text, flags=re.MULTILINE)):
         parts = [raw or quoted for raw, quoted in LITERAL.findall(found.group())]
         docstring = "".join(parts).replace("\\n", "\n").replace('\\"', '"')
@@ -94,7 +94,7 @@ def head_blocks(text: str) -> Iterator[str]:
 
 
 def read_texts(root: Path) -> list[Text]:
-    """Read the prose of all groups; build trees are left out."""
+    """Return the texts of all groups, without build trees."""
     readers = {".md": markdown_blocks, ".py": python_blocks, ".cpp": binding_blocks}
     texts = []
     for group, patterns in GROUPS.items():

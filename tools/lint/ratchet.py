@@ -1,16 +1,16 @@
-"""Lists of today's faults, each a number, that may only shrink: for the lints of this folder."""
+"""Lists of known faults with counts that may only shrink, for the lints of this folder."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-Counts = dict[str, int]  # entry -> its number
+Counts = dict[str, int]  # entry -> its count
 Lists = dict[str, Counts]  # title -> its entries
 
 
 def read_lists(path: Path, titles: list[str]) -> Lists:
-    """Read the lists of a file; a title that the file lacks has no entries."""
+    """Read the lists of a file. A title that the file does not have gets no entries."""
     lists: Lists = {title: {} for title in titles}
     title = ""
     for line in path.read_text(encoding="utf-8").splitlines():
@@ -23,7 +23,7 @@ def read_lists(path: Path, titles: list[str]) -> Lists:
 
 
 def write_lists(path: Path, head: str, lists: Lists) -> None:
-    """Write the lists below a head of comments."""
+    """Write the lists to a file, below the comment `head`."""
     parts = [head]
     for title, counts in lists.items():
         parts.append(f"\n[{title}]\n")
@@ -32,7 +32,7 @@ def write_lists(path: Path, head: str, lists: Lists) -> None:
 
 
 def compare(listed: Lists, now: Lists) -> tuple[list[str], list[str]]:
-    """Return the lines that say which numbers grew, and those that say which shrank."""
+    """Return the messages for counts that grew, and the messages for counts that shrank."""
     worse, better = [], []
     for title, counts in now.items():
         known = listed[title]
@@ -47,7 +47,7 @@ def compare(listed: Lists, now: Lists) -> tuple[list[str], list[str]]:
 
 
 def shrunk(listed: Lists, now: Lists) -> Lists:
-    """Return the lists with lower numbers, and without the entries that have no fault left."""
+    """Return the lists with lower counts, and without entries that have no fault now."""
     return {
         title: {e: min(n, counts[e]) for e, n in listed[title].items() if counts.get(e)}
         for title, counts in now.items()
@@ -55,7 +55,7 @@ def shrunk(listed: Lists, now: Lists) -> Lists:
 
 
 def check_or_write(program: str, path: Path, head: str, now: Lists, write: bool, files: int) -> int:
-    """Compare with the file, or write lower numbers into it; return the exit status."""
+    """Compare the counts with the file, or write lower counts to it. Return the exit status."""
     listed = read_lists(path, list(now)) if path.exists() or not write else now
     worse, better = compare(listed, now)
     for fault in worse:
@@ -73,7 +73,7 @@ def check_or_write(program: str, path: Path, head: str, now: Lists, write: bool,
 
 
 def read_options(arguments: list[str], description: str, lists: str) -> argparse.Namespace:
-    """Read the command line of a lint; `lists` says what its option prints."""
+    """Read the command line of a lint. `lists` names what the option --lists prints."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--lists", action="store_true", help=f"print every {lists}")
     parser.add_argument("--check", action="store_true", help="compare with the lists")

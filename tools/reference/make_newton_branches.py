@@ -1,25 +1,25 @@
 #!/usr/bin/env python3
 """Make the golden files `tests/golden/newton_<scene>.npz` by running Newton.
 
-The ball of Newton's `diffsim_ball` example reaches few branches of the semi-implicit particle
-path. The scenes here reach the others: friction, tilted shapes with margins, the inside of a box,
-several shapes on one particle, the velocity limit, particles without mass or without the active
-flag, finite planes, shapes that particles pass through, and spheres and capsules down to their
-center and axis.
+The ball of Newton's `diffsim_ball` example covers few branches of the semi-implicit particle code.
+The scenes of this program cover the other branches: friction, tilted shapes with margins, the
+inside of a box, several shapes on one particle, the velocity limit, particles without mass or
+without the active flag, finite planes, shapes that particles pass through, and spheres and capsules
+down to their center and axis.
 
-Newton runs on its cpu device, where no product and sum are contracted and the threads of a launch
-run in index order, so the files are the same bits on every run. They were made with newton 1.8.0,
-warp-lang 1.19.0 and numpy 2.4.6 on x86-64. To make them again, or to compare them with new runs:
+Newton runs on its CPU device. This device contracts no product and sum, and runs the threads of a
+launch in index order, so the files have the same bits in every run. The versions were newton
+1.8.0, warp-lang 1.19.0 and numpy 2.4.6 on x86-64. To make the files again, or to compare them:
 
     pip install newton==1.8.0 warp-lang==1.19.0 numpy
     python tools/reference/make_newton_branches.py
     python tools/reference/make_newton_branches.py --check
 
-All shapes are world-owned. Particle-particle contact is off (`model.particle_grid = None`). One
-iteration is: contacts from state 0 (or, where `regenerate` is 1, fresh contacts from every state,
-recorded on the tape), `sim_steps` semi-implicit substeps, the loss, and the tape's backward pass.
+All shapes are world-owned. Particle-particle contact is off (`model.particle_grid = None`). An
+iteration finds contacts of state 0, runs `sim_steps` semi-implicit substeps, the loss, and the
+tape's backward pass. If `regenerate` is 1, every substep finds new contacts, on the tape.
 
-Every file has the same keys, with float32 or int32 values; n particles, s shapes, c contacts:
+Every file has the same keys, with float32 or int32 values (n particles, s shapes, c contacts):
 
 | key | shape | meaning |
 | --- | --- | --- |
@@ -34,15 +34,15 @@ Every file has the same keys, with float32 or int32 values; n particles, s shape
 | `model_shape_material_ke`, `_kd`, `_kf`, `_mu` | {s} | contact material of the shape |
 | `model_soft_contact_ke`, `_kd`, `_kf`, `_mu` | {} | contact material of the particles |
 | `soft_contact_gap` | {} | detection distance |
-| `sim_dt`, `sim_steps`, `regenerate` | {} | substep, number of substeps, contacts made anew? |
-| `contact_count` | {1} | contacts made from state 0 |
-| `contact_particle`, `contact_shape` | {c} | their particle and shape, in Newton's order |
-| `contact_body_pos`, `contact_body_vel`, `contact_normal` | {c,3} | their geometry |
+| `sim_dt`, `sim_steps`, `regenerate` | {} | substep (s), number of them, 1: new contacts in each |
+| `contact_count` | {1} | number of contacts of state 0 |
+| `contact_particle`, `contact_shape` | {c} | particle, shape of each contact, in Newton's order |
+| `contact_body_pos`, `contact_body_vel`, `contact_normal` | {c,3} | geometry of each contact |
 | `contact_counts` | {sim_steps} | number of contacts used in every substep |
 | `particle_q`, `particle_qd` | {sim_steps+1,n,3} | states |
 | `particle_f` | {sim_steps+1,n,3} | forces of every substep; the last row is zero |
 | `target` | {3} | target of the loss |
-| `loss` | {1} | sum over the particles of |x_end - target|^2, added up in particle order |
+| `loss` | {1} | sum over the particles of |x_end - target|^2, in particle order |
 | `grad_q`, `grad_qd` | {n,3} | gradient of the loss with respect to the initial state |
 """
 
@@ -108,7 +108,7 @@ class Shape:
 
 @dataclass
 class Scene:
-    """What is needed to build and run one scene."""
+    """The data that build and run one scene."""
 
     particles: list[Particle]
     shapes: list[Shape]
@@ -134,10 +134,10 @@ def axis_angle(axis: Vector, degrees: float) -> Quaternion:
 
 
 def friction() -> Scene:
-    """Particles sliding on a plane: both branches of the friction cap, and none at rest.
+    """Return particles that slide on a plane, on both branches of the friction cap, none at rest.
 
     With the mean kf = 175 and mu = 0.45, the viscous branch holds up to about 0.3 m/s at a depth of
-    1 cm. The last particles touch the plane with c = 0 exactly, approaching and separating.
+    1 cm. The last particles touch the plane with c = 0 exactly, while they approach and separate.
     """
     velocities: list[Vector] = [
         (0.0, 0.0, 0.0),
@@ -282,8 +282,8 @@ def box_interior() -> Scene:
 def box_interior_regenerated() -> Scene:
     """Return the scene `box_interior` with contacts that are found in every substep.
 
-    The gradient is that of Newton's rules. At ties and on the surface (particles 6 to 17) the
-    gradient differs from finite differences. For example, a length of zero passes no gradient on.
+    The gradient follows Newton's rules. At ties and on the surface (particles 6 to 17) it differs
+    from finite differences. For example, a length of zero has no gradient in Newton.
     """
     return replace(box_interior(), regenerate=True)
 
@@ -340,11 +340,11 @@ def inactive() -> Scene:
 
 
 def finite_plane() -> Scene:
-    """Finite planes: above, at the rim, beside and below them; one tilted, one finite in x only.
+    """Return particles above, at the rim of, beside and below finite planes.
 
-    Newton's distance to a finite sheet is unsigned: below it the contact point lies on the wrong
-    side of the particle, and beside it the contact point is not on the sheet. A program that
-    follows a sounder rule differs for the particles beside (4, 5, 6 and 10) and below (7 and 11).
+    One plane is tilted, one is finite only in x. Newton's unsigned distance gives contact points on
+    the wrong side of particles below, and off the plane for particles beside. A program with a
+    consistent rule differs for the particles beside (4, 5, 6 and 10) and below (7 and 11).
     """
     flat = Shape(PLANE, (2.0, 1.0, 0.0), (0.25, -0.5, 0.5), kf=20.0)
     tilt = Shape(
@@ -399,10 +399,10 @@ def shape_flags() -> Scene:
 
 
 def sphere_capsule() -> Scene:
-    """Spheres and capsules: at the center and axis, close to them, inside, at the caps, outside.
+    """Return particles at many places in and around spheres and capsules.
 
-    Positions are multiples of 1/32, so that the exact center and axis are reached. Within 1e-8 of
-    them Newton takes the local z axis as the normal (-z below the lower cap's center).
+    Positions are multiples of 1/32, so that the exact center and axis are reached. Within 1e-8 m of
+    these, Newton takes the local z axis as the normal (-z below the lower cap's center).
     """
     sphere = Shape(SPHERE, (0.5, 0.0, 0.0), (0.25, -0.5, 1.0), ke=900.0, kd=6.0, kf=35.0)
     capsule = Shape(CAPSULE, (0.25, 0.5, 0.0), (3.0, 0.5, 1.0), ke=700.0, kd=8.0, kf=25.0, mu=0.6)
@@ -438,8 +438,8 @@ def sphere_capsule() -> Scene:
 def sphere_capsule_regenerated() -> Scene:
     """Return the scene `sphere_capsule` with contacts that are found in every substep.
 
-    The gradient is that of Newton's rules. At and near the center and the axis (particles 0, 2, 7
-    to 9 and 12 to 14) the gradient differs from finite differences.
+    The gradient follows Newton's rules. At and near the center and the axis (particles 0, 2, 7 to 9
+    and 12 to 14) it differs from finite differences.
     """
     return replace(sphere_capsule(), regenerate=True)
 
@@ -498,7 +498,7 @@ def build(scene: Scene) -> newton.Model:
 
 
 def model_arrays(model: newton.Model) -> dict[str, np.ndarray]:
-    """Return the arrays of a model that rebuild its scene."""
+    """Return the arrays of a model from which its scene can be rebuilt."""
     arrays = {"model_gravity": model.gravity.numpy()[0]}
     particle = ["q", "qd", "mass", "inv_mass", "radius", "flags"]
     shape = ["type", "body", "flags", "margin", "transform", "scale"]
@@ -527,7 +527,7 @@ def release(package: str) -> np.ndarray:
 
 
 def run(scene: Scene) -> dict[str, np.ndarray]:
-    """Run a scene and collect the content of its file."""
+    """Run a scene and return the content of its file."""
     model = build(scene)
     solver = newton.solvers.SolverSemiImplicit(model)
     pipeline = newton.CollisionPipeline(
@@ -575,7 +575,7 @@ def run(scene: Scene) -> dict[str, np.ndarray]:
 
 
 def validate(name: str, arrays: dict[str, np.ndarray]) -> None:
-    """Refuse a wrong type or a number that is not finite."""
+    """Raise an error for a wrong type or a value that is not finite."""
     for key, value in arrays.items():
         if value.dtype not in (np.float32, np.int32):
             raise TypeError(f"{name}: {key} has type {value.dtype}")
@@ -584,7 +584,7 @@ def validate(name: str, arrays: dict[str, np.ndarray]) -> None:
 
 
 def same(path: Path, arrays: dict[str, np.ndarray]) -> bool:
-    """Return whether a file holds exactly these arrays, bit for bit."""
+    """Return whether a file has exactly these arrays, bit for bit."""
     with np.load(path) as stored:
         return stored.keys() == arrays.keys() and all(
             stored[key].shape == value.shape and stored[key].tobytes() == value.tobytes()
@@ -593,7 +593,7 @@ def same(path: Path, arrays: dict[str, np.ndarray]) -> bool:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Make or check the files."""
+    """Make or check the golden files."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,10 +1,9 @@
 #!/usr/bin/env python3
 """Write the stubs of the native module, with its docstrings, from the built module.
-
     make_stubs.py MODULE.so OUTPUT
 
-OUTPUT becomes a folder with __init__.pyi and one file per submodule. types.toml has the types that
-the module itself does not tell.
+OUTPUT becomes a folder with __init__.pyi and one file for each submodule. types.toml has the types
+that the module itself does not report.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ HEAD = {
 }
 OTHERS = {name for names in HEAD.values() for name in names} | {"None", "True", "False", "Mesh"}
 OTHERS |= {"Selection", "Three"}
-# The type of values that a writable attribute accepts, by the type that it returns.
+# Type that an attribute returns -> type of the values that may be assigned.
 SAME = {"float": "SupportsFloat", "int": "SupportsIndex"}
 
 
@@ -61,7 +60,7 @@ class Types:
 
     @staticmethod
     def found(table: dict[str, Any], key: str) -> Any:
-        """Return the entry of a name, or of the first pattern that matches the name."""
+        """Return the entry of a name, or of the first pattern that matches the name, or None."""
         if key in table:
             return table[key]
         return next((v for k, v in table.items() if "*" in k and fnmatch.fnmatch(key, k)), None)
@@ -73,7 +72,7 @@ class Types:
             rule = self.arguments.get(parameter.name)
         text = rule or parameter.type
         if rule is None and key.endswith((".__eq__", ".__ne__")) and returns == "bool":
-            text = "object"  # as the method of `object`
+            text = "object"  # as for the method of `object`
         if rule is None:
             for native, passed in self.passed.items():
                 text = re.sub(rf"\b{native}\b", passed, text)
@@ -94,7 +93,7 @@ def doc_lines(doc: str, indent: str) -> list[str]:
     lines: list[str] = []
     room = WIDTH - len(indent)
     for line in doc.splitlines():
-        if len(line) + len(indent) <= MOST:  # as the author broke it
+        if len(line) + len(indent) <= MOST:  # keeps the author's line breaks
             lines.append(line)
             continue
         hang = re.match(r"\s*", line).group()
@@ -109,7 +108,7 @@ def doc_lines(doc: str, indent: str) -> list[str]:
 
 
 class ModuleWriter:
-    """The stub of one module."""
+    """Writes the stub of one module."""
 
     def __init__(self, module: Module, types: Types, homes: dict[str, str]) -> None:
         self.module = module
@@ -117,13 +116,13 @@ class ModuleWriter:
         self.homes = homes  # native class -> its module
         self.lines: list[str] = []
         self.aliases: set[str] = set()
-        self.members: set[str] = set()  # members of the present class
+        self.members: set[str] = set()  # members of the current class
 
     def key(self, *names: str) -> str:
         return ".".join(filter(None, (self.module.name, *names)))
 
     def type(self, text: str) -> str:
-        """Return a type in the scope of the present class, whose members may hide a class."""
+        """Return a type as text for the current class, whose members may hide a class name."""
         for name in sorted(self.members & self.homes.keys()):
             # Not the name of an argument, which a colon follows.
             text, count = re.subn(rf"(?<![\w.\"']){name}\b(?!\s*:)", f"_{name}", text)
@@ -132,14 +131,14 @@ class ModuleWriter:
         return self.known(text)
 
     def known(self, text: str) -> str:
-        """Return a text with Any for classes that this build or the module does not have."""
+        """Return a text with Any in place of classes that the build or the module does not have."""
         for name in set(re.findall(r"(?<![\w.\"'])[A-Z]\w*\b(?!\s*:)", text)):
             if name not in self.homes and name not in OTHERS:
                 text = re.sub(rf"(?<![\w.\"']){name}\b(?!\s*:)", ANYTHING, text)
         return text
 
     def write(self) -> str:
-        """Return the text of the file."""
+        """Return the text of the stub file."""
         for item in self.module.content:
             if isinstance(item, Class):
                 self.class_(item)
@@ -153,7 +152,7 @@ class ModuleWriter:
         return self.head() + "\n".join(self.lines) + "\n"
 
     def head(self) -> str:
-        """Return the docstring, the imports that the text needs, and the aliases."""
+        """Return the docstring, the needed imports, and the aliases of the stub."""
         name = ".".join(filter(None, ("novaphy._core", self.module.name)))
         preamble = self.types.preamble.get(self.module.name or "core", "")
         preamble = "\n".join(
@@ -180,7 +179,7 @@ class ModuleWriter:
         return "\n".join([*lines, preamble.strip(), *aliases, "", ""])
 
     def imports(self, used: set[str]) -> list[str]:
-        """Return the imports of the other modules."""
+        """Return the imports from the other modules."""
         own = {item.name for item in self.module.content}
         lines = []
         if self.module.name:
@@ -202,7 +201,7 @@ class ModuleWriter:
         return lines
 
     def class_(self, item: Class) -> None:
-        """Write a class."""
+        """Write a class to the stub."""
         self.members = {member.name for member in item.members}
         bases = ", ".join(item.bases or ["_Native"])
         self.lines += ["", f"class {item.name}({bases}):"]
@@ -226,7 +225,7 @@ class ModuleWriter:
         self.members = set()
 
     def attribute(self, member: Attribute) -> None:
-        """Write a value of a class."""
+        """Write an attribute of a class."""
         if member.value is None:
             hidden = "  # type: ignore[assignment]" if member.name == "__hash__" else ""
             self.lines.append(f"    {member.name}: None{hidden}")
@@ -236,9 +235,7 @@ class ModuleWriter:
             self.lines.append(f"    {member.name}: {type(member.value).__name__}")
 
     def property_(self, item: Property, owner: Class) -> None:
-        """Write a property; one that is read and written with the same type becomes an
-        attribute.
-        """
+        """Write a property, as an attribute if reads and writes have the same type."""
         rule = Types.found(self.types.properties, self.key(owner.name, item.name))
         if isinstance(rule, str):
             rule = {"read": rule}
@@ -248,7 +245,7 @@ class ModuleWriter:
         if written is not None:
             if read == "DeviceArray":
                 read = written = "_Field"
-            # An attribute that may be None can be set to None.
+            # An attribute that may be None may also be set to None.
             same = " | ".join(SAME.get(part, part) for part in read.split(" | "))
             if written == same:
                 written = read
@@ -293,7 +290,7 @@ class ModuleWriter:
                 self.lines += doc_lines(item.doc, indent + "    ")
 
     def signature(self, name: str, signature: Signature, first: str) -> str:
-        """Return the signature `(self, x: T) -> R` on one line."""
+        """Return the signature `(self, x: T) -> R` as one line."""
         parts = [first] if first else []
         operator = name.startswith("__") and name != "__init__"
         slash, star = False, False
@@ -320,7 +317,7 @@ class ModuleWriter:
 
     @staticmethod
     def definition(name: str, text: str, indent: int) -> list[str]:
-        """Return the lines of a `def`, with one argument a line if one line is too long."""
+        """Return the lines of a `def`, with one argument for each line if one line is too long."""
         line = f"def {name}{text}:"
         if len(line) + indent + 4 <= WIDTH:
             return [line]

@@ -1,4 +1,4 @@
-"""What a native module holds, read from the module itself: classes, functions, constants."""
+"""Read the content of a native module from the module itself: classes, functions, constants."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ SKIPPED = {
 
 @dataclass
 class Property:
-    """A property: its type where it is read, and where it is written (None: it is not)."""
+    """A property, with the type of its reads and the type of its writes (None: read-only)."""
 
     name: str
     read: str
@@ -64,9 +64,9 @@ class Class:
 
 @dataclass
 class Module:
-    """A module and its content in the order of its definition."""
+    """A module, with its content in the order of its definition."""
 
-    name: str  # "" for the outermost one
+    name: str  # "" for the outermost module
     doc: str
     content: list[Class | Function | Attribute] = field(default_factory=list)
     submodules: list[str] = field(default_factory=list)
@@ -76,7 +76,7 @@ class Module:
 
 
 def load(path: Path, package: str = "novaphy") -> types.ModuleType:
-    """Load an extension module of a package without the package, which may need more."""
+    """Load an extension module of a package without importing the package."""
     parent = types.ModuleType(package)
     parent.__path__ = [str(path.parent)]
     sys.modules[package] = parent
@@ -99,7 +99,7 @@ def read_modules(module: types.ModuleType) -> list[Module]:
 
 
 def read_module(module: types.ModuleType, name: str) -> Module:
-    """Return the content of one module."""
+    """Return the content of a module."""
     found = Module(name, (module.__doc__ or "").strip())
     for key, value in vars(module).items():
         if key.startswith("__"):
@@ -116,7 +116,7 @@ def read_module(module: types.ModuleType, name: str) -> Module:
 
 
 def read_class(name: str, value: type) -> Class:
-    """Return a class with its own members."""
+    """Return a class with the members that it defines itself."""
     if issubclass(value, enum.Enum):
         base = next(b for b in (enum.IntFlag, enum.IntEnum, enum.Enum) if issubclass(value, b))
         found = Class(name, [f"enum.{base.__name__}"], (value.__doc__ or "").strip())
@@ -132,7 +132,7 @@ def read_class(name: str, value: type) -> Class:
 
 
 def read_member(owner: Class, key: str, member: Any) -> None:
-    """Add one entry of a class's dictionary."""
+    """Add one entry of a class's dictionary to the class."""
     if isinstance(member, property):
         owner.members.append(read_property(key, member))
         return
@@ -151,7 +151,7 @@ def read_member(owner: Class, key: str, member: Any) -> None:
 
 
 def read_property(key: str, member: property) -> Property:
-    """Return a property from the signatures of its functions."""
+    """Return a property from the signatures of its getter and setter."""
     read = accessor(member.fget)
     getter = read.overloads[0].returns if read.overloads else ANYTHING
     setter = None
@@ -162,7 +162,7 @@ def read_property(key: str, member: property) -> Property:
 
 
 def accessor(function: Any) -> Function:
-    """Return the function of a property, whose signature has no name."""
+    """Return the getter or setter of a property, whose signature has no name."""
     doc = (getattr(function, "__doc__", None) or "").lstrip()
     return parse_docstring("f", f"f{doc}" if doc.startswith("(") else doc)
 

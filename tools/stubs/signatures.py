@@ -1,4 +1,4 @@
-"""Signatures that pybind11 writes into docstrings, as data with the types of a stub."""
+"""Parse the signatures that pybind11 writes into docstrings, with the types of a stub."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import struct
 from dataclasses import dataclass, field
 
 ANYTHING = "Any"
-# Pure numbers in the words of pybind11 3 and, as arguments, of pybind11 2.
+# Types of pure numbers: in pybind11 3, and for arguments in pybind11 2.
 FLOATS = {"typing.SupportsFloat", "float"}
 INTEGERS = {"typing.SupportsInt", "typing.SupportsIndex", "int"}
 PLAIN = {
@@ -33,7 +33,7 @@ PLAIN = {
 
 @dataclass
 class Parameter:
-    """An argument: its kind is `only` (by position), `any`, `key`, `args` or `kwargs`."""
+    """An argument. Its kind is `only` (positional only), `any`, `key`, `args` or `kwargs`."""
 
     name: str
     kind: str
@@ -43,7 +43,7 @@ class Parameter:
 
 @dataclass
 class Signature:
-    """The arguments of a function, without `self`, and what the function returns."""
+    """The arguments of a function, without `self`, and the type of its result."""
 
     parameters: list[Parameter]
     returns: str
@@ -52,7 +52,7 @@ class Signature:
 
 @dataclass
 class Function:
-    """A function with all of its overloads, and their documentation."""
+    """A function with all of its overloads and their documentation."""
 
     name: str
     overloads: list[Signature] = field(default_factory=list)
@@ -60,12 +60,12 @@ class Function:
 
 
 def shortest(value: float) -> str:
-    """Return the shortest text of a number with the same float32."""
+    """Return the shortest text that gives the same float32 value."""
     try:
         bits = struct.pack("<f", value)
-    except OverflowError:  # no float32 at all
+    except OverflowError:  # outside of the range of float32
         return repr(value)
-    if struct.unpack("<f", bits)[0] != value:  # a double
+    if struct.unpack("<f", bits)[0] != value:  # not a float32 value
         return repr(value)
     for digits in range(1, 10):
         text = f"{value:.{digits}g}"
@@ -75,12 +75,12 @@ def shortest(value: float) -> str:
 
 
 def default_text(node: ast.expr) -> str:
-    """Return a default as a stub writes it; `...` for a value that is no literal."""
+    """Return a default value as a stub writes it, or `...` for a value that is not a literal."""
     if isinstance(node, ast.Tuple | ast.List):
         parts = [default_text(item) for item in node.elts]
         if any(part == "..." for part in parts):
             return "..."
-        # A list is shared by all calls; the types take a tuple as well.
+        # All calls would share a list. The types also accept a tuple.
         return f"({', '.join(parts)}{',' if len(parts) == 1 else ''})"
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
         inner = default_text(node.operand)
@@ -96,7 +96,7 @@ def default_text(node: ast.expr) -> str:
 
 
 def dotted(node: ast.expr) -> str:
-    """Return `a.b.c` of a name, else an empty text."""
+    """Return `a.b.c` for a dotted name, else an empty text."""
     if isinstance(node, ast.Name):
         return node.id
     if isinstance(node, ast.Attribute):
@@ -118,11 +118,11 @@ def union_members(node: ast.expr) -> list[ast.expr]:
 
 
 def join_types(types: list[str]) -> str:
-    """Return the union of types, each once, with None last."""
+    """Return the union of types without duplicates, with None last."""
     found = list(dict.fromkeys(part for text in types for part in split_union(text)))
     if ANYTHING in found:
         return ANYTHING
-    if "SupportsFloat" in found:  # every integer is one, too
+    if "SupportsFloat" in found:  # every integer is also a SupportsFloat
         found = [text for text in found if text != "SupportsIndex"]
     if "None" in found and len(found) > 1:
         found = [text for text in found if text != "None"] + ["None"]
@@ -141,7 +141,7 @@ def split_union(text: str) -> list[str]:
 
 
 def stub_type(node: ast.expr | None, argument: bool) -> str:
-    """Return the type of a stub for a type of pybind11."""
+    """Return the type in a stub for a type that pybind11 wrote."""
     if node is None:
         return ANYTHING
     return join_types([_one_type(member, argument) for member in union_members(node)])
@@ -189,7 +189,7 @@ def _subscript(node: ast.Subscript, argument: bool) -> str:
 
 
 def parse_signature(text: str) -> Signature | None:
-    """Parse a line of pybind11, `name(self: T, x: T = 0) -> T`; None: another text."""
+    """Parse a line `name(self: T, x: T = 0) -> T` of pybind11. Return None for another text."""
     text = re.sub(r"= <[^>]*>+", "= ...", text).replace("::", ".")
     try:
         node = ast.parse(f"def {text}: ...").body[0]

@@ -1,17 +1,21 @@
-// Writes the adjoints of VBD's laws as straight code over lanes, which may be floats.
+// Writes the adjoints of VBD's laws as straight-line code over SIMD lanes or floats.
 //
 //   novaphy_vbd_adjoints FOLDER
 //
-// writes two files. slot_adjoints.inc has the derivatives of the blocks of slots and contacts.
-// number_adjoints.inc maps the adjoints of the numbers of slots to those of materials and rest
-// shapes. A file _source.inc beside each has the same code as string literals, for device compilers
-// (cmake/NovaPhyDeviceModule.cmake).
+// The program writes two files. slot_adjoints.inc has the derivatives of the blocks of slots and
+// contacts. number_adjoints.inc maps the adjoints of the numbers of slots to the adjoints of
+// materials and rest shapes. For each file, a second file _source.inc has the same code as string
+// literals, for device compilers (cmake/NovaPhyDeviceModule.cmake). docs/glossary.md explains slot
+// and role.
 //
-// The laws run once with scalars that are expressions (symbol.h). For a block f, H with adjoints u
-// and B, the program writes the derivatives of u.f + B:H with respect to positions and numbers.
-// Each operation is written once, and operations that no derivative needs are left out. Each role
-// and the contacts have variants with and without H ("at_solution": the adjoints of H are 0) and
-// damping. The stiffness of coarse steps has derivatives of the same kind.
+// The laws run once with scalars that are symbolic expressions (symbol.h). A block has the force f
+// and the stiffness H, with the adjoints u and B. The program writes the derivatives of u.f + B:H
+// with respect to positions and numbers. Each operation is written once, and operations that no
+// derivative needs are left out.
+//
+// Each role and the contacts have variants with and without H, and with and without damping. At a
+// solution ("at_solution") the adjoints of H are 0. The stiffness of coarse steps has derivatives
+// of the same kind.
 #include <algorithm>
 #include <cstdio>
 #include <fstream>
@@ -32,7 +36,7 @@ using math::dot;
 namespace novaphy::vbd::adjoints {
 namespace {
 
-// Inputs by the text that reads them.
+// The symbolic inputs, each with the text that reads it in the generated code.
 class Inputs {
  public:
   Symbol add(const std::string& text) {
@@ -71,7 +75,8 @@ class Writer {
       if (needed[static_cast<size_t>(k)])
         for (const int32_t o : graph.node(k).operands)
           if (o >= 0) needed[static_cast<size_t>(o)] = true;
-    // A node comes before its results. The parts of one atan2 come with the first of them.
+    // A node comes before the nodes that use it. All parts of an atan2 are written with the first
+    // part.
     for (int32_t k = 0; k < graph.size(); ++k)
       if (needed[static_cast<size_t>(k)]) write_node(k, graph.node(k));
     for (const Result& r : results) out_ << "  " << r.text << " = " << name(r.value.node) << ";\n";
@@ -129,7 +134,7 @@ class Writer {
   std::vector<std::string> angles_;
 };
 
-// The adjoints of a block: of f, and unless at the solution of H.
+// Returns the adjoints for the outputs of a block: of f, and of H unless at_solution.
 Adjoints adjoints_of(const Block<Symbol>& b, Inputs& inputs, bool at_solution) {
   std::vector<Symbol> values = {b.f.x, b.f.y, b.f.z};
   const Vec3<Symbol> u = inputs.add_vector("adjoint.f");
@@ -148,7 +153,7 @@ Condition is_defined(const SlotInputs<role, Symbol>& in) {
   return {};
 }
 
-// A function of the adjoints, by the points and the numbers before `last`.
+// Writes the function of the adjoints with respect to the points and the numbers before `last`.
 template <Role role>
 void write_adjoints(std::ostream& out, const SlotInputs<role, Symbol>& in, const Adjoints& adjoints,
                     const Inputs& inputs, int last, const std::string& name,
@@ -156,7 +161,8 @@ void write_adjoints(std::ostream& out, const SlotInputs<role, Symbol>& in, const
   std::vector<Result> results;
   const auto result = [&](const std::string& text, const Symbol& input) {
     Symbol value = adjoints.of(input);
-    // An element without directions has the derivatives 0, even if their factors are not finite.
+    // If the law of an element is not defined, its derivatives are 0, even if their factors are not
+    // finite.
     if (const Condition c = is_defined(in); c.node >= 0) value = select(c, value, Symbol());
     results.push_back({text, value});
   };
@@ -199,8 +205,8 @@ void write_slot(std::ostream& out, bool at_solution, bool damped) {
   write_adjoints(out, in, adjoints, inputs, kFloats[role], name.str(), "Block<S>& adjoint");
 }
 
-// Writes the adjoints of u.(sum of H_k d_k). H_k is the stiffness between the own corner and corner
-// k.
+// Writes the adjoints of the inputs of u.(sum_k H_k d_k). H_k is the stiffness between the own
+// corner and corner k.
 template <Role role>
 void write_stiffness(std::ostream& out) {
   Graph::get().clear();
@@ -213,7 +219,7 @@ void write_stiffness(std::ostream& out) {
                  "stiffness_adjoint(const Vec3<S>& u", "Vec3<S>* d");
 }
 
-// Writes the adjoints of the numbers that a slot takes from the start of the step.
+// Writes the adjoints of the inputs of a slot's values at the start of the step.
 template <Role role>
 void write_start(std::ostream& out) {
   Graph::get().clear();
@@ -266,8 +272,9 @@ void write_contact(std::ostream& out, const char* name, bool at_solution, bool s
 
 constexpr const char* kHead = "// Written by tools/vbd_adjoints from the laws (vbd/elements/).\n";
 
-// Declarations of the adjoints of u.f + B:H. `adjoint` holds u in f, and each entry of B once in
-// h_ij. The scalar S is a float or lanes. The file that includes the code defines NOVAPHY_LANE_FN.
+// Declarations for the adjoints of u.f + B:H. `adjoint` has u in f, and each entry of B once in
+// h_ij. The scalar S is a float or SIMD lanes. The file that includes the code defines
+// NOVAPHY_LANE_FN.
 constexpr const char* kDeclarations = R"(
 template <Role role, class S>
 struct SlotAdjoints {
@@ -302,7 +309,7 @@ void write_blocks(std::ostream& out, bool at_solution) {
 }
 
 // Writes the adjoints of the parameters of an element, from the adjoints of the weights of its
-// corners and of its law.
+// corners and of its coefficients.
 template <Role role>
 void write_numbers(std::ostream& out) {
   using Element = SlotOf<role>;
@@ -316,7 +323,7 @@ void write_numbers(std::ostream& out) {
   for (int corner = 0; corner < Element::kCorners; ++corner)
     Element::put_numbers(corner, p, h, [&](int k, const Symbol& value) {
       const bool is_law = k >= law_begin(role);
-      if (is_law && corner > 0) return;  // corners have the same one
+      if (is_law && corner > 0) return;  // all corners share the coefficients
       values.push_back(value);
       adjoints.push_back(inputs.add(
           is_law ? "adjoint.law(" + std::to_string(k - law_begin(role)) + ")"
@@ -351,7 +358,7 @@ void write_all(std::ostream& out) {
   });
 }
 
-// The code, and the same as string literals of some lines each.
+// Writes the code, and the same code as string literals of some lines each.
 bool write_file(const std::string& folder, const std::string& name,
                 void (*write)(std::ostream& out)) {
   constexpr size_t kPiece = 8000;

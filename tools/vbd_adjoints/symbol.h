@@ -1,5 +1,5 @@
-// Symbol: a scalar that is an expression. A formula that runs with it leaves a graph of operations,
-// from which its derivatives are made as more of the graph.
+// Symbol: a scalar that is a symbolic expression. A formula that runs with Symbol builds a graph of
+// operations. The derivatives of the formula are added to the same graph.
 #pragma once
 
 #include <array>
@@ -20,11 +20,11 @@ enum class Op : uint8_t {
   Div,
   Neg,
   Sqrt,
-  Atan2,  // value; the two below are parts of it
+  Atan2,  // the value; the next two are its partial derivatives
   Atan2Dy,
   Atan2Dx,
   Select,  // by a condition
-  Less,    // these give conditions
+  Less,    // this and the next operations give conditions
   Greater,
   AtLeast,
   Both,
@@ -32,13 +32,13 @@ enum class Op : uint8_t {
 
 struct Node {
   Op op;
-  std::array<int32_t, 3> operands;  // -1: none
-  float value;                      // Constant
-  int32_t input;                    // Input: its number
+  std::array<int32_t, 3> operands;  // -1: no operand
+  float value;                      // of a Constant
+  int32_t input;                    // of an Input: its index
   auto key() const { return std::tuple(op, operands, value, input); }
 };
 
-// The graph of the present expressions. Equal operations are one node.
+// The graph of the current expressions. Equal operations are one node.
 class Graph {
  public:
   static Graph& get() {
@@ -145,7 +145,8 @@ struct Symbol {
   friend Symbol atan2(const Symbol& y, const Symbol& x) { return of(Op::Atan2, y.node, x.node); }
 };
 
-// Derivatives of sum_k adjoints[k] * values[k] by every node so far.
+// Computes the derivatives of sum_k adjoints[k] * values[k] with respect to every node of the
+// graph.
 class Adjoints {
  public:
   Adjoints(const std::vector<Symbol>& values, const std::vector<Symbol>& adjoints)

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Write the glyphs of the viewers' text: python/novaphy/viewer/assets/font.bin.
+"""Write the glyphs of the viewers' text to python/novaphy/viewer/assets/font.bin.
 
-They are those of DejaVu Sans Mono (free: https://dejavu-fonts.github.io/License.html), the
-printable ASCII characters as gray values {95, height, width}, compressed. Needs Pillow.
-
+The glyphs are the printable ASCII characters of DejaVu Sans Mono, which is free
+(https://dejavu-fonts.github.io/License.html). The file has gray values {95, height, width},
+compressed. Needs Pillow.
     tools/viewer/make_font.py /usr/share/fonts/truetype/dejavu/DejaVuSansMono.ttf
 """
 
@@ -22,7 +22,7 @@ TARGET = Path(__file__).resolve().parents[2] / "python/novaphy/viewer/assets/fon
 
 
 def main() -> None:
-    """Draw every character into a cell of its own."""
+    """Draw every character into a separate cell, and write the file."""
     font = ImageFont.truetype(sys.argv[1], SIZE)
     ascent, descent = font.getmetrics()
     width, height = round(font.getlength("M")), ascent + descent

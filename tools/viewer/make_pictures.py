@@ -1,11 +1,10 @@
 #!/usr/bin/env python3
 """Write the pictures and pages of the documentation: the gallery, and the README's animation.
 
-Runs every demo without a display and keeps the last picture, and of some a page that replays the
-run. Needs novaphy[demos] and ffmpeg.
-
-    PYTHONPATH=build/tests/python tools/viewer/make_pictures.py             # all of them
-    PYTHONPATH=build/tests/python tools/viewer/make_pictures.py ball dice   # these, and the page
+The program runs every demo without a display and stores the last picture. For some demos it also
+stores a page that replays the run. Needs novaphy[demos] and ffmpeg.
+    PYTHONPATH=build/tests/python tools/viewer/make_pictures.py             # all demos
+    PYTHONPATH=build/tests/python tools/viewer/make_pictures.py ball dice   # two demos, and page
     PYTHONPATH=build/tests/python tools/viewer/make_pictures.py --animation
 """
 
@@ -24,14 +23,14 @@ from novaphy._command import demos
 ROOT = Path(__file__).resolve().parents[2]
 IMAGES, PAGES = ROOT / "docs" / "images", ROOT / "docs" / "pages"
 ACTORS = ROOT / "python" / "demos" / "data" / "ant" / "rl_policies"
-# Options that leave out work that no picture shows.
+# Demo -> options that leave out work which no picture shows.
 OPTIONS = {
     "ant_from_scratch": ["--load", str(ACTORS / "periodic_ant_natural_gait.npz")],
     "ant_walk": ["--headless", "200"],
     "dice": ["--starts", "0"],
     "vbd_wrecking_ball": ["--headless", "78"],
 }
-# The demos that have a page, with options that keep the page small.
+# Demos that have a page, with options that keep the page small.
 WITH_PAGE = {
     "ant_walk": [],
     "ball": [],
@@ -41,9 +40,9 @@ WITH_PAGE = {
     "soft_body": [],
     "vbd_gripper": [],
 }
-# Scenes that have a picture of their own.
+# Scenes of a demo that have separate pictures.
 SCENES = {"articulated_scenes": {"chain": ["--headless", "240"], "ants": ["--headless", "60"]}}
-WITHOUT_VIEWER = {"distributed"}  # draws its own results
+WITHOUT_VIEWER = {"distributed"}  # the demo draws its results itself
 WALL = """
 ## robots from files
 
@@ -61,7 +60,7 @@ STILL, MOVING = "scale=640:-1:flags=area", "fps=20,scale=640:-1:flags=area"
 
 
 def record(demo: Path, target: Path, *options: str) -> None:
-    """Run a demo and record it. Its window is not opened, and it trains as in one."""
+    """Run a demo without a window, and record the picture. Training runs as with a window."""
     code = (
         "import sys, runpy; from novaphy import viewer\n"
         "check = viewer.check_arguments\n"
@@ -79,7 +78,7 @@ def record(demo: Path, target: Path, *options: str) -> None:
 
 
 def convert(source: Path, target: Path, filters: str, quality: int) -> None:
-    """Write a small WebP."""
+    """Convert a picture or video to a small WebP file."""
     words = ["ffmpeg", "-loglevel", "error", "-y", "-i", str(source), "-vf", filters]
     words += ["-c:v", "libwebp", "-q:v", str(quality), "-loop", "0", str(target)]
     subprocess.run(words, check=True)
@@ -92,7 +91,7 @@ def sentence(path: Path) -> str:
 
 
 def write_pages() -> None:
-    """Write docs/gallery.html, which has the pages of demos in it."""
+    """Write docs/gallery.html, which shows the pages of demos."""
     parts = [
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>NovaPhy</title>',
         "<style>body { max-width: 960px; margin: 2em auto; padding: 0 1em; color: #21262f;",
@@ -146,7 +145,7 @@ def write_gallery() -> None:
 
 
 def main() -> None:
-    """Write what was asked for."""
+    """Write the files that the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("names", nargs="*", help="demos (default: all)")
     parser.add_argument("--animation", action="store_true", help="only the README's animation")

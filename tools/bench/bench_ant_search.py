@@ -1,18 +1,17 @@
 #!/usr/bin/env python3
-"""The yardstick of analytic gradients: random search for the Ant that learns from zero.
+"""Compare analytic gradients with random search, for the Ant that learns to walk from zero.
 
-All methods begin with 80 zeros and end with the stage `polish`, which has no gradient
-(demo_diffsim_ant_from_scratch.py). Before it,
+All methods begin with 80 parameters of 0 and end with the stage `polish`, which uses no gradient
+(demo_diffsim_ant_from_scratch.py). The methods differ in the stages before:
+    derivatives  runs the stages of the demo
+    staged       random search in the same stages, with the servo: the same losses and frames
+    plain        random search only in the last of these stages, without the servo
 
-    derivatives  take the demo's stages;
-    staged       is random search in the same stages, with the servo: the same losses and frames;
-    plain        is random search in the last of these stages alone, without the servo.
-
-Random search, gaussian steps of changing length, has the seconds of the processor that derivatives
-took, and as many generations of `polish`; --seconds and --generations say them before they are
-measured. Each seed is a process of two threads, and a file of JSON in the folder, from which an
-interrupted one goes on behind its last stage. Derivatives draw nothing before `polish`: one seed.
-
+Random search takes Gaussian steps of adaptive length. It gets the processor time that derivatives
+took, and the same number of generations of `polish`. --seconds and --generations give these budgets
+if derivatives has not run. Each seed is a process with two threads. Its JSON file in the folder has
+the stages that are done, from which an interrupted run continues. Derivatives are not random before
+`polish`, so they need one seed.
     python tools/bench/bench_ant_search.py results               # the missing runs, then the table
     python tools/bench/bench_ant_search.py results --jobs 8      # 8 processes at once
     python tools/bench/bench_ant_search.py results --page        # the table of the guide
@@ -52,7 +51,7 @@ COLUMNS = (
 
 
 def judged(actor: demo.Actor) -> dict[str, object]:
-    """Return the loss of the last stage, and the checks of the gait that passed."""
+    """Return the loss of the last stage, and the checks of the gait that an actor passes."""
     trainer = demo.Trainer(actor, "frozen", "dva", candidates=1)
     name, horizon, _, strength = demo.STAGES[-1]
     trainer.enter(name, strength)
@@ -70,10 +69,10 @@ def judged(actor: demo.Actor) -> dict[str, object]:
 
 
 class Run:
-    """A method with a seed; its file says how far it is."""
+    """A run of a method with a seed, whose file stores the stages that are done."""
 
     def __init__(self, folder: Path, method: str, seed: int, budget: tuple[float, int]) -> None:
-        """Go on where the file ends; `budget`: seconds of the stages, generations of `polish`."""
+        """Read the file. `budget`: seconds of the stages, number of generations of `polish`."""
         self.folder, self.method, self.seed, self.budget = folder, method, seed, budget
         self.stages = demo.STAGES[-1:] if method == "plain" else demo.STAGES
         self.told = read(folder, method, seed) or {
@@ -82,14 +81,14 @@ class Run:
         }  # fmt: skip
 
     def save(self, actor: demo.Actor, begun: float, **more: object) -> None:
-        """Write the file."""
+        """Write the weights and results to the file."""
         self.told |= {"weights": actor.weights.tolist(), **more}
         self.told["seconds"] += time.process_time() - begun
         with atomic_path(self.folder / f"{self.method}-{self.seed}.json") as path:
             Path(path).write_text(json.dumps(self.told, indent=1), "utf-8")
 
     def run(self) -> None:
-        """Run the stages that the file of the run lacks."""
+        """Run the stages that the file does not have yet."""
         actor = demo.Actor(np.array(self.told["weights"]))
         trainer, (seconds, generations) = demo.Trainer(actor, "frozen", "dva"), self.budget
         share = seconds / sum(stage[1] * stage[2] for stage in self.stages)
@@ -135,7 +134,7 @@ def budget_of(args: argparse.Namespace, method: str) -> tuple[float, int]:
 
 
 def start(args: argparse.Namespace, method: str, seed: int) -> None:
-    """Run in a process of its own; say how it ended."""
+    """Run a method with a seed in a separate process, and print the result."""
     done = read(args.folder, method, seed)
     if done and "after" in done:
         return
@@ -150,7 +149,7 @@ def start(args: argparse.Namespace, method: str, seed: int) -> None:
 
 
 def spread(values: Iterable[float], digits: int, unit: str = "") -> str:
-    """Return the median and the range as text."""
+    """Return the median and the range of values as text."""
     values = list(values)
     text = f"{np.median(values):.{digits}f}{unit}"
     if len(values) > 1:
@@ -159,7 +158,7 @@ def spread(values: Iterable[float], digits: int, unit: str = "") -> str:
 
 
 def table(folder: Path, seeds: int) -> list[str]:
-    """Return the rows of the guide."""
+    """Return the rows of the guide's table."""
     lines = [COLUMNS, "|" + "---|" * (COLUMNS.count("|") - 1)]
     for method, name in METHODS.items():
         found = [read(folder, method, seed) for seed in range(seeds)]
@@ -182,7 +181,7 @@ def table(folder: Path, seeds: int) -> list[str]:
 
 
 def write_page(lines: list[str]) -> None:
-    """Put the table where the guide has it."""
+    """Replace the table in the guide."""
     text = GUIDE.read_text("utf-8").splitlines()
     first = text.index(COLUMNS)
     last = next(k for k in range(first, len(text)) if not text[k].startswith("|"))
@@ -190,7 +189,7 @@ def write_page(lines: list[str]) -> None:
 
 
 def main() -> None:
-    """Run the missing runs, and print the table."""
+    """Run the missing runs, and print or write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, help="of the files of JSON")
     parser.add_argument("--seeds", type=int, default=5)

@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Time what trains policies: frames of the Ant beside MuJoCo, MJX and Newton, gradients, layers.
+"""Time the parts of policy training: frames of the Ant in four engines, gradients, layers.
 
-A frame of the policy is 1/20 s: 50 steps of 1 ms with contacts under torques that are held. Each
-measurement is a process of its own with its number of threads; times are by the clock, of the
-fastest of some turns. Peers that are not installed are left out, and named.
-
+A frame of the policy is 1/20 s: 50 steps of 1 ms with contacts, under constant torques. The peers
+are MuJoCo, MJX and Newton. Each measurement is a separate process with a given number of threads. A
+time is the wall time of the fastest of several rounds. Peers that are not installed are left out,
+and the page names them.
     python tools/bench/bench_policies.py           # lines of JSON
     python tools/bench/bench_policies.py --page    # docs/performance-policies.md
-    python tools/bench/bench_policies.py --device cuda:0  # frames there alone
+    python tools/bench/bench_policies.py --device cuda:0  # only frames on a device
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ DEVICE_WORLDS = (1, 16, 256, 1024, 4096, 16384)
 THREADS = (1, 2)
 SUBSTEPS, DT = 50, 1e-3
 FRAMES = 60  # frames of a timed gradient
-BY_HAND = "## On a GPU"  # where the part of the page begins that is kept
-LANDED = 20  # frames before the first that is timed
+BY_HAND = "## On a GPU"  # the page from this heading on is kept
+LANDED = 20  # frames before the first timed frame
 ANT = ROOT / "python" / "novaphy" / "assets" / "ant_heavy.xml"
 START_JOINTS = (0, 1, 0, -1, 0, -1, 0, 1)
 
 
 def fastest(run: Callable[[], object], turns: int) -> float:
-    """Return the least time (s) of a call, by the clock."""
+    """Return the least wall time of a call (s), of several rounds."""
     run()
     times = []
     for _ in range(turns):
@@ -51,17 +51,17 @@ def fastest(run: Callable[[], object], turns: int) -> float:
 
 
 def turns_of(worlds: int) -> int:
-    """Return the number of turns: fewer for large batches."""
+    """Return the number of rounds, which is smaller for large batches."""
     return 10 if worlds < 1000 else 3
 
 
 def torques(worlds: int) -> np.ndarray:
-    """Return the torques of all worlds, relative to the gear."""
+    """Return random torques {worlds, 8}, relative to the gear of the motors."""
     return np.random.default_rng(0).uniform(-0.3, 0.3, (worlds, 8)).astype(np.float32)
 
 
 def novaphy_frames(worlds: int, device: str | None = None) -> dict[str, object]:
-    """Time frames of AntWorlds and their observations."""
+    """Time frames of AntWorlds with their observations."""
     from novaphy.envs import AntWorlds
 
     ants, a = AntWorlds(worlds, device=device), torques(worlds)
@@ -73,7 +73,7 @@ def novaphy_frames(worlds: int, device: str | None = None) -> dict[str, object]:
 
 
 def mujoco_frames(worlds: int) -> dict[str, object]:
-    """Time MuJoCo on the same file, with its own contacts; many worlds use all threads."""
+    """Time MuJoCo on the same file, with its own contacts. Many worlds use all threads."""
     import mujoco
     from mujoco import rollout
 
@@ -99,7 +99,7 @@ def mujoco_frames(worlds: int) -> dict[str, object]:
 
 
 def mjx_frames(worlds: int) -> dict[str, object]:
-    """Time MJX, compiled by XLA for the CPU."""
+    """Time MJX on the same file, compiled by XLA for the CPU."""
     import jax
     import mujoco
     from mujoco import mjx
@@ -127,7 +127,7 @@ def mjx_frames(worlds: int) -> dict[str, object]:
 
 
 def newton_frames(worlds: int) -> dict[str, object]:
-    """Time Newton's SolverFeatherstone (penalty contacts) on the CPU, on the same file."""
+    """Time Newton's SolverFeatherstone with penalty contacts on the CPU, on the same file."""
     import newton
     import warp as wp
 
@@ -155,9 +155,7 @@ def newton_frames(worlds: int) -> dict[str, object]:
 
 
 def gradient(kind: str) -> dict[str, object]:
-    """Time 60 frames of the actor with 80 parameters and the gradient of their loss, in
-    segments.
-    """
+    """Time the gradient of the loss of 60 frames by the actor's 80 parameters, in segments."""
     sys.path[:0] = [str(ROOT / "python" / "demos"), str(ROOT / "python" / "demos" / "diff")]
     import demo_diffsim_ant_from_scratch as demo
 
@@ -205,7 +203,7 @@ def adjoint(_: str) -> dict[str, object]:
 
 
 def layers(_: str) -> dict[str, object]:
-    """Time a layer, 4096 x 256 by 256 x 256, and its gradients."""
+    """Time a linear layer (4096 x 256 times 256 x 256) and its gradients."""
     script = Path(__file__).with_name("novaphy_linear.py")
     told = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True)
     return json.loads(told.stdout)
@@ -223,7 +221,7 @@ PARTS: dict[str, Callable] = {
 
 
 def measure(part: str, what: object, threads: int, seconds: float) -> dict[str, object]:
-    """Run a measurement in its own process. Return the result, or the reason why there is none."""
+    """Run a measurement in a separate process. Return its result, or the reason for a failure."""
     number = str(threads)
     environment = {
         **os.environ,
@@ -250,9 +248,9 @@ def measure(part: str, what: object, threads: int, seconds: float) -> dict[str, 
 
 
 def everything(seconds: float) -> list[dict[str, object]]:
-    """Run all measurements of the page."""
+    """Run all measurements of the page. Return their rows."""
     found: list[dict[str, object]] = []
-    gone: set[str] = set()  # a package that is not installed
+    gone: set[str] = set()  # packages that are not installed
     for worlds in WORLDS:
         for threads in THREADS:
             for part in ("novaphy", "mujoco", "mjx", "newton"):
@@ -277,7 +275,7 @@ def version(package: str) -> str:
 
 
 def cell(row: dict[str, object], worlds: int) -> str:
-    """Return the frames of all worlds per second, as text."""
+    """Return the frames of all worlds per second as text."""
     return f"{worlds / row['seconds']:,.0f}" if "seconds" in row else "–"
 
 
@@ -361,7 +359,7 @@ def page(rows: list[dict[str, object]], load: float) -> str:
 
 
 def main() -> None:
-    """Measure, then print or write the results."""
+    """Run the measurements, then print or write the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--page", action="store_true", help="write the page of the results")
     parser.add_argument("--limit", type=float, default=180.0, help="seconds of a measurement")
@@ -370,7 +368,7 @@ def main() -> None:
     parser.add_argument("--what", default="1", help="its number of worlds, or its kind")
     args = parser.parse_args()
     if args.part:
-        if args.part == "mjx" and hasattr(os, "sched_setaffinity"):  # XLA takes what it sees
+        if args.part == "mjx" and hasattr(os, "sched_setaffinity"):  # XLA uses all visible cores
             cores = sorted(os.sched_getaffinity(0))
             os.sched_setaffinity(0, cores[: int(os.environ["NOVAPHY_NUM_THREADS"])])
         what = int(args.what) if args.what.isdigit() else args.what

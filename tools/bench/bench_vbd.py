@@ -1,16 +1,19 @@
 #!/usr/bin/env python3
 """Time a substep of VBD: a cloth of 64 x 32 cells with bending and damping, 10 iterations.
-
     python tools/bench/bench_vbd.py [--engine novaphy|newton] [--threads N] [--sphere]
         [--cells X Y] [--device cuda:0] [--capture] [--backward [unrolled|implicit]] [--gradient]
 
-Prints a JSON line: wall and CPU time of a substep in turns (the fastest), and a hash of the last
-positions. With --sphere the cloth falls on a sphere with friction. --backward also times a step of
-DiffSolverVBD without a tape, one that a tape records, and its derivative, in CPU time, all that
-the tape does included, with the ratio of the last to the first; implicit with what is solved of it.
---capture replays a graph of ten substeps. --gradient also times
-a rollout of ten substeps with its derivative, in wall time for a substep, and hashes the gradient
-by the first positions and velocities; on a device, or with --capture, as the replay of a graph.
+Prints a JSON line: wall and CPU time of a substep (the fastest of several rounds), and a hash of
+the last positions. With --sphere the cloth falls on a sphere with friction. --capture replays a
+graph of ten substeps.
+
+--backward also measures CPU times of DiffSolverVBD: a step without a tape, a step that a tape
+records, and its derivative with all work of the tape. It prints the ratio of the derivative to the
+step without a tape. With `implicit` it also prints the residuals.
+
+--gradient also measures the wall time for each substep of a rollout of ten substeps with its
+derivative, and a hash of the gradient with respect to the first positions and velocities. On a
+device, or with --capture, it replays a graph.
 """
 
 from __future__ import annotations
@@ -32,7 +35,7 @@ CLOTH = {
 
 
 def fill(builder, engine, sphere, cells):
-    """Add the cloth and, if wanted, the sphere."""
+    """Add the cloth and, if asked for, the sphere to a builder."""
     cloth = CLOTH | {"dim_x": cells[0], "dim_y": cells[1]}
     rotation = (0.0, 0.0, 0.0, 1.0)
     vector, quat = tuple, tuple
@@ -56,7 +59,7 @@ def fill(builder, engine, sphere, cells):
 
 
 def novaphy_run(args):
-    """Make the model; returns run(substeps) and a function of the positions."""
+    """Make the NovaPhy model. Return run(substeps) and a function that returns the positions."""
     import novaphy
 
     if args.threads:
@@ -158,7 +161,7 @@ def novaphy_run(args):
 
 
 def newton_run(args):
-    """Run the scene in Newton on its cpu device."""
+    """Make the Newton model on the CPU. Return run(substeps) and a function of the positions."""
     import newton
     import warp as wp
 
@@ -183,7 +186,7 @@ def newton_run(args):
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure, and print the JSON line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--engine", choices=("novaphy", "newton"), default="novaphy")
     parser.add_argument("--threads", type=int, help="of NovaPhy; Newton's cpu device has one")

@@ -1,4 +1,4 @@
-"""Three scenes with a known verdict of diff.certify: out of reach, chaotic, and with a policy."""
+"""Three scenes whose verdict of diff.certify is known: out of reach, chaotic, and a policy."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ POLICY_STEPS, POLICY_RATE, SKIP = 120, 120, 4
 
 
 class Scene(NamedTuple):
-    """A function of parameters, a start, and how far the parameters move."""
+    """A loss function of parameters, the parameters of a start, and their scale."""
 
     name: str
     solver_name: str
@@ -35,7 +35,7 @@ def _push(worlds: int) -> PushImpulse:
 
 
 def out_of_reach(theta: nova.Tensor) -> nova.Tensor:
-    """Drive a ball for 0.1 s, which ends before the box."""
+    """Return the losses of a push for 0.1 s, in which the ball does not reach the box."""
     task = _push(theta.shape[0])
     task.path = diff.Trajectory(task.model, task.steps)
     return task.run(theta)
@@ -66,7 +66,7 @@ def _double_pendulum(worlds: int) -> Any:
 
 
 def double_pendulum(theta: nova.Tensor) -> nova.Tensor:
-    """Release a double pendulum at the angles theta; the loss is the last angle, squared."""
+    """Return the squared last angle of a double pendulum that starts at the angles theta."""
     worlds, steps = theta.shape[0], 1920
     model, solver = _double_pendulum(worlds)
     path = diff.Trajectory(model, steps)
@@ -90,9 +90,10 @@ def _pendulum(worlds: int) -> Any:
 
 
 def policy(theta: dict[str, nova.Tensor]) -> nova.Tensor:
-    """Hold a pendulum at 1 rad by a network of angle and rate; the loss is the mean square error.
+    """Return the mean square error of a pendulum that a network holds at 1 rad.
 
-    theta: "inner" {worlds, 4, 3} and "outer" {worlds, 4}, weights of two layers.
+    The network maps angle and rate to a torque. theta has its weights: "inner" {worlds, 4, 3} and
+    "outer" {worlds, 4}.
     """
     worlds = theta["inner"].shape[0]
     model, solver = _pendulum(worlds)

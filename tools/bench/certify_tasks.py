@@ -1,14 +1,13 @@
 #!/usr/bin/env python3
 """Certify the gradients of the eight tasks with contact events, of the code and of the motion.
 
-The program prints a row of the table in docs/performance-event-gradients.md per task, solver, start
-and contact_gradient. Three more scenes have a known verdict: a push out of reach, a double
-pendulum and a pendulum with a policy.
-
+The program prints a row of the table in docs/performance-event-gradients.md for each task, solver,
+start and contact_gradient. Three more scenes have a known verdict: a push out of reach, a double
+pendulum, and a pendulum with a policy.
     python tools/bench/certify_tasks.py --only ball --starts 2
 
-With --samples the last column compares the gradient with the reference of event_tasks.py, which
-takes that many samples.
+With --samples N the last column compares the gradient with the reference of event_tasks.py, from N
+samples.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from novaphy import diff, nova
 
 
 def function_of(kind: type[Task], mode: str) -> Callable[[nova.Tensor], nova.Tensor]:
-    """Give the losses of a task as a function of parameters {worlds, n}."""
+    """Return a function that maps parameters to the losses of a task."""
 
     @cache
     def task(worlds: int) -> Task:
@@ -43,7 +42,7 @@ def function_of(kind: type[Task], mode: str) -> Callable[[nova.Tensor], nova.Ten
 
 
 def compared(kind: type[Task], theta: np.ndarray, samples: int) -> Callable[[np.ndarray], str]:
-    """Give the text of a cosine and a length, as a function of a gradient per sigma."""
+    """Return a function of a gradient (per sigma) that gives cosine and relative length as text."""
     if samples == 0:
         return lambda gradient: "-"
     reference = smoothed(kind(64), theta, samples).gradient
@@ -56,7 +55,7 @@ def compared(kind: type[Task], theta: np.ndarray, samples: int) -> Callable[[np.
 
 
 def row_of(name: str, solver: str, what: str, found: diff.Certificate, truth: str = "-") -> str:
-    """Give a row of the table."""
+    """Return a row of the table."""
     wide, tiny = found.disagreements[1], found.disagreements[3]
     trust = "-" if found.trust_radius is None else f"{found.trust_radius:.2g}"
     return (
@@ -67,7 +66,7 @@ def row_of(name: str, solver: str, what: str, found: diff.Certificate, truth: st
 
 
 def main() -> None:
-    """Print the rows."""
+    """Print the rows of the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", default="", help="part of the class names of tasks and scenes")
     parser.add_argument("--starts", type=int, default=1)

@@ -1,6 +1,7 @@
-"""CMA-ES: a search by samples of a normal distribution whose covariance is adapted.
+"""CMA-ES: optimization by samples of a normal distribution whose covariance is adapted.
 
-The default parameters of Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772.
+Source of the default parameters: Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv
+1604.00772.
 """
 
 from __future__ import annotations
@@ -9,10 +10,10 @@ import numpy as np
 
 
 class CmaEs:
-    """The distribution, which starts at 0 with a standard deviation of `width`."""
+    """The normal distribution, which starts at 0 with the standard deviation `width`."""
 
     def __init__(self, size: int, width: float, population: int, seed: int) -> None:
-        """Start the search."""
+        """Make the distribution for points of `size` numbers."""
         self.rng, self.population = np.random.default_rng(seed), population
         self.mean, self.width, self.generation = np.zeros(size), width, 0
         self.covariance = np.eye(size)
@@ -30,14 +31,14 @@ class CmaEs:
         )  # mean length of a sample
 
     def ask(self) -> np.ndarray:
-        """Give the points {population, size} of a generation."""
+        """Return new points {population, size} of a generation."""
         variances, self.axes = np.linalg.eigh(self.covariance)
         self.deviations = np.sqrt(np.maximum(variances, 1e-30))
         samples = self.rng.normal(size=(self.population, len(self.mean)))
         return self.mean + self.width * (samples * self.deviations) @ self.axes.T
 
     def tell(self, points: np.ndarray, losses: np.ndarray) -> None:
-        """Adapt the distribution to the losses of the points; a NaN is the largest loss."""
+        """Adapt the distribution to the losses of the points. A NaN counts as the largest loss."""
         self.generation += 1
         best = points[np.argsort(losses)[: len(self.weights)]]
         steps = (best - self.mean) / self.width

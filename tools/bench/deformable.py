@@ -1,18 +1,17 @@
-"""What newton_deformable.py and novaphy_deformable.py have in common: scenes, command line, timing.
+"""Scenes, command line and timing for newton_deformable.py and novaphy_deformable.py.
 
 Scenes, of size N:
-
 * `soft_body`: Newton's `diffsim_soft_body` example with a block of N³ cells (N = 2 in the example).
-  Every particle has the mass that it has there, so that the step stays stable. One iteration: the
-  materials from 2 parameters per tetrahedron, 960 substeps, the squared distance of the centroid to
-  the target, the backward pass, `p -= 1e7 * grad`, clamped to [500, 4e6].
+  Every particle has the same mass as in the example, so that the step stays stable. An iteration:
+  materials from 2 parameters for each tetrahedron, 960 substeps, the squared distance of the
+  centroid to the target, the backward pass, `p -= 1e7 * grad`, clamped to [500, 4e6].
 * `cloth`: Newton's `diffsim_cloth` example with N² cells (N = 16 in the example) on one square
-  meter. One iteration: 1,920 substeps, the squared distance of the centroid to the target, the
+  meter. An iteration: 1,920 substeps, the squared distance of the centroid to the target, the
   backward pass, `v0 -= 5 * grad` over all particles.
 
-`--steps` shortens the rollout; the record says how many substeps were timed. The result hash is the
-first 16 hex digits of sha256 over the final positions of the first iteration, as float32 bytes: for
-the soft body both engines have the same.
+`--steps` shortens the rollout, and the record has the number of timed substeps. The result hash is
+the first 16 hex digits of the SHA-256 of the final positions of the first iteration (float32
+bytes). For the soft body both engines give the same hash.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ YOUNG, POISSON = 1.5e4, 0.3
 
 
 def soft_grid(n: int) -> dict[str, object]:
-    """Return the arguments of add_soft_grid, the same in both engines."""
+    """Return the arguments of add_soft_grid, which are the same in both engines."""
     cell = 0.1
     return {
         "pos": (-0.5 * cell * n, -0.5, 1.0),
@@ -64,7 +63,7 @@ def soft_grid(n: int) -> dict[str, object]:
 
 
 def cloth_grid(n: int) -> dict[str, object]:
-    """Return the arguments of add_cloth_grid, the same in both engines."""
+    """Return the arguments of add_cloth_grid, which are the same in both engines."""
     half = -0.75 * np.pi / 2.0
     return {
         "pos": (0.0, 0.0, 0.0),
@@ -84,13 +83,13 @@ def cloth_grid(n: int) -> dict[str, object]:
 
 
 class Scene(Protocol):
-    """What an engine's program makes of a scene."""
+    """A scene in one engine, as the programs of the engines implement it."""
 
     def iterate(self) -> None:
         """Run one training iteration, which is finished when the call returns."""
 
     def prepare(self) -> None:
-        """Wait for what the engine does beside the first iterations, e.g. compiling."""
+        """Wait for work that runs beside the first iterations, for example compilation."""
 
     def loss_value(self) -> float:
         """Return the loss of the last iteration, before its update."""

@@ -1,26 +1,23 @@
 #!/usr/bin/env python3
-"""Time the ball training iteration written in Dr.Jit, with its LLVM backend.
+"""Time the ball training iteration, written in Dr.Jit with its LLVM backend.
 
-The scene, the iteration and the JSON lines are those of newton_ball.py beside this file; see there.
-The substeps are unrolled: a loop that Dr.Jit records cannot be run backward over its states. The
-two contacts of every ball, wall and ground, are those that Newton and NovaPhy find at the first
-state, and stay fixed. What is zero in this scene is left out by hand, as in the mode `lean` of
-jax_ball.py.
+The scene, the iteration and the JSON lines are those of newton_ball.py. The substeps are unrolled,
+because Dr.Jit cannot differentiate a recorded loop backward over its states. The two contacts of
+every ball (wall and ground) are those that Newton and NovaPhy find for the first state, and stay
+constant. Terms that are zero in this scene are left out, as in the mode `lean` of jax_ball.py.
 
 Modes:
-
-* `lean`: Python traces all substeps in every iteration; the kernel that comes out is found in
-  Dr.Jit's cache from the second iteration on.
+* `lean`: Python traces all substeps in every iteration. From the second iteration on, Dr.Jit finds
+  the kernel in its cache.
 * `frozen`: the iteration is a function under `drjit.freeze`, which is traced once and replayed.
 
-One ball is run as two, of which the loss counts the first: LLVM takes minutes to compile the kernel
-whose arrays all have one entry, and the vectors of the processor hold more than two balls anyway.
+A single ball runs as two balls, and the loss counts only the first. LLVM takes minutes to compile a
+kernel whose arrays have one entry, and a vector register has room for more than two balls.
 
-The cache of kernels on disk is left unused: `compile_s` is what the first iteration takes longer
-than the median. `first_s` runs from the start of building the scene to the end of the first
-iteration. Dr.Jit loads libLLVM, version 15 or newer, at run time (`DRJIT_LIBLLVM_PATH` names the
-file where it is not found); without it the record says so in `skipped`.
-
+The cache of kernels on disk is not used. `compile_s` is the time of the first iteration minus the
+median. `first_s` is the time from the start of building the scene to the end of the first
+iteration. Dr.Jit loads libLLVM, version 15 or newer, at run time. If it is not found,
+`DRJIT_LIBLLVM_PATH` can name the file. Without libLLVM the record has the reason in `skipped`.
     pip install drjit==1.5.0 numpy
     python tools/bench/drjit_ball.py --n 1 10 1000 --iterations 20
 """
@@ -61,7 +58,7 @@ class Balls:
             return Array3f(*(Float(np.full(n, c, np.float32)) for c in (x, y, z)))
 
         def numbers(value: float) -> Float:
-            return dr.opaque(Float, value)  # data of the kernel, not a constant in it
+            return dr.opaque(Float, value)  # an input of the kernel, not a constant
 
         self.dr, self.vector = dr, Array3f
         x = ball_offsets(n)
@@ -93,7 +90,7 @@ class Balls:
             for point, normal in zip(scene["points"], scene["normals"]):
                 c = dr.dot(normal, x - point) - scene["radius"]
                 vn = dr.dot(normal, v)
-                damping = dr.select(vn < 0, vn, 0)  # LLVM 15 has no code for dr.minimum
+                damping = dr.select(vn < 0, vn, 0)  # LLVM 15 cannot compile dr.minimum
                 push = c * scene["ke"] + damping * scene["kd"]
                 force = force - normal * dr.select(c > 0, 0, push)
             v = v + force * DT
@@ -177,7 +174,7 @@ def main() -> None:
     """Run every requested measurement."""
     arguments = parse_arguments()
     with tempfile.TemporaryDirectory() as home:
-        os.environ["HOME"] = home  # Dr.Jit keeps compiled kernels below it
+        os.environ["HOME"] = home  # Dr.Jit stores compiled kernels below it
         for mode in arguments.mode:
             for n in arguments.n:
                 print(json.dumps(measure(n, mode, arguments.iterations)), flush=True)

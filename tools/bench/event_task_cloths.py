@@ -1,4 +1,4 @@
-"""The task of event_task_scenes.py with a cloth."""
+"""The task of event_task_scenes.py in which a cloth is pulled, with three solvers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from novaphy import diff, nova
 
 
 class Cloth(Task):
-    """A cloth is pulled over the ground by one edge."""
+    """A cloth is pulled over the ground at one edge."""
 
     name = "cloth"
     knots = 3
@@ -20,7 +20,7 @@ class Cloth(Task):
     holds: ClassVar[bool] = True
 
     def add_world(self, builder: novaphy.ModelBuilder) -> None:
-        """Add the cloth."""
+        """Add the cloth to a world."""
         ke, kd = self.stiffness
         builder.add_cloth_grid(
             dim_x=5, dim_y=5, cell_x=0.1, cell_y=0.1, mass=0.02, tri_ke=ke, tri_ka=ke, tri_kd=kd,
@@ -29,7 +29,7 @@ class Cloth(Task):
         )  # fmt: skip
 
     def mean_of_left(self, state: novaphy.SimState) -> nova.Tensor:
-        """Return the mean position of the free edge of each world {worlds, 3} (m)."""
+        """Return the mean position of the free left edge of each world {worlds, 3} (m)."""
         places = self.model.particle_q.numpy()
         count = len(places) // self.worlds
         pick = np.zeros((self.worlds, len(places)), np.float32)
@@ -39,12 +39,12 @@ class Cloth(Task):
         return nova.tensor(pick) @ diff.state_particle_q_tensor(state)
 
     def away(self, state: novaphy.SimState) -> nova.Tensor:
-        """Return the losses of a last state."""
+        """Return the losses {worlds} of a last state."""
         return squares(self.mean_of_left(state)[:, 0:2] - nova.tensor(np.float32([[0.75, 0.0]])))
 
 
 class ClothVbd(Cloth):
-    """The held edge follows targets; this solver has no gradient of the motion."""
+    """The cloth in VBD. The pulled edge follows targets. VBD has no gradient of the motion."""
 
     solver_name = "VBD, unrolled"
     start: ClassVar = [0.1, 0.1, 0.2, 0.05, 0.3, 0.02]
@@ -71,15 +71,13 @@ class ClothVbd(Cloth):
         return SOLVERS.DiffSolverVBD(self.model, iterations=10, gradient=self.gradient, **more)
 
     def ramps(self) -> nova.Tensor:
-        """Return the weights {steps, knots} of ramps from 0 to the first knot, and from knot to
-        knot.
-        """
+        """Return the weights {steps, knots} that interpolate linearly from 0 over the knots."""
         time = np.arange(1, self.steps + 1) / self.steps * self.knots
         hats = np.maximum(0, 1 - np.abs(time[:, None] - np.arange(1, self.knots + 1)))
         return nova.tensor(np.float32(hats))
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
-        """Move the held edge by theta, x and z at each knot."""
+        """Return the losses if the pulled edge moves by theta (x and z at each knot)."""
         self.solver.reset()
         held = self.model.particle_q.numpy()[self.model.particle_mass.numpy() <= 0]
         width = 3 * (len(held) // self.worlds)
@@ -90,14 +88,14 @@ class ClothVbd(Cloth):
 
 
 class ClothVbdImplicit(ClothVbd):
-    """The same, with implicit gradients."""
+    """The cloth in VBD with implicit gradients."""
 
     solver_name = "VBD, implicit"
     gradient = "implicit"
 
 
 class ClothPenalty(Cloth):
-    """Forces pull the right edge."""
+    """The cloth with penalty contacts. Forces pull the right edge."""
 
     solver_name = "semi-implicit, cloth"
     start: ClassVar = [1.5, 1.0, 2.0, 0.2, 1.0, 0.0]
@@ -121,7 +119,7 @@ class ClothPenalty(Cloth):
         return SOLVERS.DiffSemiImplicitSolver(self.model, config)
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
-        """Pull with the forces theta, x and z at each knot."""
+        """Return the losses under the forces theta (x and z at each knot)."""
         places = self.model.particle_q.numpy()
         count = len(places) // self.worlds
         right = np.flatnonzero(places[:count, 0] > 0.5 - 1e-3)

@@ -1,4 +1,4 @@
-"""The tasks of event_task_scenes.py that are driven, and the list of all tasks."""
+"""The tasks of event_task_scenes.py with drives or forces over time, and the list of all tasks."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from novaphy import diff, nova
 
 
 class Push(Task):
-    """A ball that forces drive pushes a box over the ground."""
+    """A ball pushes a box over the ground. Forces drive the ball."""
 
     name = "push"
     start: ClassVar = [3.0, 0.2, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0]
@@ -43,7 +43,7 @@ class Push(Task):
     sink: ClassVar[float] = 0.0
 
     def add_world(self, builder: novaphy.ModelBuilder) -> None:
-        """Add the box and the ball, which meets only the box."""
+        """Add the box, and the ball, which touches only the box."""
         of = self.surface()
         body = builder.add_body(
             xform=at(0, 0, 0.1 - self.sink), mass=1.0, inertia=np.eye(3) * 0.0067
@@ -55,24 +55,22 @@ class Push(Task):
         builder.add_shape_collision_filter_pair(shape, ground)
 
     def add_ground(self, builder: novaphy.ModelBuilder) -> None:
-        """Add nothing: each world has a ground of its own."""
+        """Add no shared shapes, because each world has a separate ground."""
 
     def forces(self, theta: nova.Tensor) -> nova.Tensor:
-        """Return the wrenches {steps, bodies, 6} on the ball. The wrenches include the lift against
-        gravity.
-        """
+        """Return the wrenches {steps, bodies, 6} on the ball, which also cancel gravity."""
         held = np.zeros((1, 12 * self.worlds), np.float32)
         held[0, 8::12] = 0.5 * G
         rows = self.rows(theta, spread([6, 7], 12)) + nova.tensor(held)
         return (stretches(self.steps, self.knots) @ rows).reshape(self.steps, 2 * self.worlds, 6)
 
     def away(self, place: nova.Tensor) -> nova.Tensor:
-        """Return the losses of places {worlds, 2} of the box."""
+        """Return the losses {worlds} of positions {worlds, 2} of the box."""
         return squares(place - nova.tensor(np.float32([[0.8, 0.2]])))
 
 
 class PushPenalty(Push, Penalty):
-    """The push with penalty contacts."""
+    """The push with penalty contacts of bodies."""
 
     sink = G / 4 / 4e3
 
@@ -81,28 +79,28 @@ class PushPenalty(Push, Penalty):
         return penalties(4e3, 60.0, 60.0, 0.4)
 
     def settings(self) -> dict:
-        """Return further options of the solver."""
+        """Return additional options of the solver."""
         return {"friction_smoothing": 0.05}
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
-        """Drive the ball with the forces theta."""
+        """Return the losses if the forces theta drive the ball."""
         return self.away(self.places(self.roll(body_forces=self.forces(theta)))[:, 0, 0:2])
 
 
 class PushImpulse(Push, Impulse):
-    """The push by impulses."""
+    """The push with impulse contacts of articulations."""
 
     def surface(self) -> novaphy.ShapeConfig:
         """Return the material of all shapes."""
         return impulses(0.4)
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
-        """Drive the ball with the forces theta."""
+        """Return the losses if the forces theta drive the ball."""
         return self.away(self.coordinates(self.roll(body_forces=self.forces(theta)))[:, 0:2])
 
 
 class Hopper(Impulse):
-    """Three links in a plane jump by the targets of two drives."""
+    """A robot of three links in a plane jumps forward by the targets of two drives."""
 
     name = "hopper"
     knots = 8
@@ -117,7 +115,7 @@ class Hopper(Impulse):
         return novaphy.ShapeConfig(mu=0.8, density=0, ke=2e4, kd=200, gap=0.05)
 
     def add_world(self, builder: novaphy.ModelBuilder) -> None:
-        """Add the torso on two slides, thigh and shank."""
+        """Add the torso on two slides, the thigh and the shank."""
         of, inertia = self.surface(), np.eye(3) * 0.01
         cart = builder.add_link(mass=0.01, inertia=np.eye(3) * 1e-4)
         base = builder.add_link(mass=3.0, inertia=inertia)
@@ -141,14 +139,14 @@ class Hopper(Impulse):
         builder.joint_target_q = q
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
-        """Follow the targets theta; the loss is of the way."""
+        """Return the losses, by the distance traveled, of the targets theta."""
         view = diff.control_joint_target_q_tensor
         way = self.coordinates(self.roll(self.controls(theta, view, [2, 3])))[:, 0:1]
         return squares(way - 0.5)
 
 
 class HopperCompliant(Hopper):
-    """The hopper on compliant contacts, which have no gradient of the motion."""
+    """The hopper with compliant contacts, which have no gradient of the motion."""
 
     solver_name = "Featherstone, compliant"
     modes = ("code",)
@@ -200,19 +198,19 @@ class Strike(Task):
 
 
 class StrikeImpulse(Strike, Impulse):
-    """The strike by impulses."""
+    """The strike with impulse contacts of articulations."""
 
     def surface(self) -> novaphy.ShapeConfig:
         """Return the material of all shapes."""
         return impulses(0.3, 0.5)
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
-        """Return the losses of the ball's path."""
+        """Return the losses {worlds} of the ball's distance."""
         return squares(self.coordinates(self.end(theta))[:, 2:3] - 1.2)
 
 
 class StrikePenalty(Strike, Penalty):
-    """The strike with penalty contacts and joints of springs."""
+    """The strike with penalty contacts, and joints as springs."""
 
     solver_name = "semi-implicit, joints"
     steps = 1920
@@ -225,16 +223,16 @@ class StrikePenalty(Strike, Penalty):
         return penalties(4e3, 10.0, 20.0, 0.3)
 
     def settings(self) -> dict:
-        """Return further options of the solver."""
+        """Return additional options of the solver."""
         return {"joint_attach_ke": 2e4, "joint_attach_kd": 50.0}
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
-        """Return the losses of the ball's path."""
+        """Return the losses {worlds} of the ball's distance."""
         return squares(self.places(self.end(theta))[:, 2, 0:1] - 1.2)
 
 
 class Tilt(Task):
-    """A board on two hinges rolls a ball to a mark."""
+    """A board on two hinges tilts, so that a ball on it rolls to a target."""
 
     name = "tilt"
     start: ClassVar = [0.1, 0.05, 0.1, 0.0, 0.0, 0.0, -0.1, 0.0]
@@ -260,31 +258,31 @@ class Tilt(Task):
         builder.add_shape_sphere(ball, radius=0.1, cfg=of)
 
     def add_ground(self, builder: novaphy.ModelBuilder) -> None:
-        """Add nothing."""
+        """Add no shared shapes."""
 
     def end(self, theta: nova.Tensor) -> novaphy.SimState:
-        """Return the last state under the targets theta."""
+        """Return the last state under the drive targets theta."""
         return self.roll(self.controls(theta, diff.control_joint_target_q_tensor, [0, 1]))
 
     def away(self, place: nova.Tensor) -> nova.Tensor:
-        """Return the losses of places {worlds, 2} of the ball."""
+        """Return the losses {worlds} of positions {worlds, 2} of the ball."""
         return squares(place - nova.tensor(np.float32([[0.3, -0.2]])))
 
 
 class TiltImpulse(Tilt, Impulse):
-    """The board by impulses."""
+    """The board with impulse contacts of articulations."""
 
     def surface(self) -> novaphy.ShapeConfig:
         """Return the material of all shapes."""
         return impulses(0.6)
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
-        """Return the losses of the ball's place."""
+        """Return the losses {worlds} under the drive targets theta."""
         return self.away(self.coordinates(self.end(theta))[:, 2:4])
 
 
 class TiltPenalty(Tilt, Penalty):
-    """The board with penalty contacts and joints of springs."""
+    """The board with penalty contacts, and joints as springs."""
 
     solver_name = "semi-implicit, joints"
     steps = 1920
@@ -296,11 +294,11 @@ class TiltPenalty(Tilt, Penalty):
         return penalties(4e3, 20.0, 40.0, 0.6)
 
     def settings(self) -> dict:
-        """Return further options of the solver."""
+        """Return additional options of the solver."""
         return {"joint_attach_ke": 2e4, "joint_attach_kd": 50.0}
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
-        """Return the losses of the ball's place."""
+        """Return the losses {worlds} under the drive targets theta."""
         return self.away(self.places(self.end(theta))[:, 2, 0:2])
 
 

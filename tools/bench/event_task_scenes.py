@@ -19,7 +19,7 @@ SOLVERS = novaphy.solvers
 
 
 def penalties(ke: float, kd: float, kf: float = 0.0, mu: float = 0.0) -> novaphy.ShapeConfig:
-    """Return a surface with penalty contacts."""
+    """Return the shape configuration of a surface with penalty contacts."""
     return novaphy.ShapeConfig(ke=ke, kd=kd, kf=kf, mu=mu, density=0)
 
 
@@ -39,21 +39,21 @@ def squares(difference: nova.Tensor) -> nova.Tensor:
 
 
 def spread(columns: list[int], width: int, by: float = 1.0) -> np.ndarray:
-    """Return the matrix that spreads parameters to the given columns of a row."""
+    """Return the matrix that writes parameters to the given columns of a row, times `by`."""
     matrix = np.zeros((len(columns), width), np.float32)
     matrix[np.arange(len(columns)), columns] = by
     return matrix
 
 
 def stretches(steps: int, knots: int) -> nova.Tensor:
-    """Return the weights {steps, knots} by which each knot holds for one part of the steps."""
+    """Return the weights {steps, knots} of a function that is constant for each knot's steps."""
     basis = np.zeros((steps, knots), np.float32)
     basis[np.arange(steps), np.arange(steps) * knots // steps] = 1
     return nova.tensor(basis)
 
 
 class Task:
-    """A scene in some worlds, its solver, and the loss of a motion."""
+    """A scene in several worlds, its solver, and the loss of a motion."""
 
     name: ClassVar[str]
     solver_name: ClassVar[str]
@@ -66,7 +66,7 @@ class Task:
     modes: ClassVar[tuple[str, ...]] = ("code", "motion")
 
     def __init__(self, worlds: int, mode: str = "code") -> None:
-        """Build the model of all worlds."""
+        """Build the model of all worlds. `mode`: contact_gradient."""
         self.worlds, self.mode = worlds, mode
         one = novaphy.ModelBuilder(gravity=-self.gravity)
         self.add_world(one)
@@ -79,11 +79,11 @@ class Task:
 
     @property
     def dt(self) -> float:
-        """The length of a step, s."""
+        """Return the length of a step (s)."""
         return 1 / self.rate
 
     def add_world(self, builder: novaphy.ModelBuilder) -> None:
-        """Add what each world has."""
+        """Add the bodies of one world."""
         raise NotImplementedError
 
     def add_ground(self, builder: novaphy.ModelBuilder) -> None:
@@ -112,7 +112,7 @@ class Task:
         return self.path[self.steps]
 
     def losses(self, theta: np.ndarray) -> np.ndarray:
-        """Return the losses {worlds}."""
+        """Return the losses {worlds} of parameters {worlds, size}, without a gradient."""
         self.path = diff.Trajectory(self.model, self.steps)
         return self.run(nova.tensor(np.float32(theta))).numpy().astype(np.float64)
 
@@ -126,9 +126,7 @@ class Task:
         return leaf.grad.numpy().astype(np.float64), tape.gradient_info()
 
     def rows(self, theta: nova.Tensor, matrix: np.ndarray) -> nova.Tensor:
-        """Return the parameters of each knot {knots, worlds * width}, spread to a row of each
-        world.
-        """
+        """Return {knots, worlds * width}: theta of each knot and world, times the matrix."""
         width = matrix.shape[1]
         flat = theta.reshape(self.worlds * self.knots, matrix.shape[0]) @ nova.tensor(matrix)
         flat = flat.reshape(self.worlds, self.knots * width)
@@ -150,12 +148,12 @@ class Task:
         return controls
 
     def twists(self, theta: nova.Tensor, more: int) -> nova.Tensor:
-        """Return the first rates of each world, followed by `more` zeros {worlds, ...}."""
+        """Return the initial rates of each world and `more` zeros {worlds, size + more}."""
         return nova.concat([theta, nova.zeros((self.worlds, more))], axis=1) if more else theta
 
 
 class Penalty(Task):
-    """Bodies with penalty contacts."""
+    """A task whose bodies have penalty contacts (semi-implicit solver)."""
 
     solver_name = "semi-implicit"
 
@@ -169,7 +167,7 @@ class Penalty(Task):
         )
 
     def settings(self) -> dict:
-        """Return further options of the solver."""
+        """Return additional options of the solver."""
         return {}
 
     def places(self, state: novaphy.SimState) -> nova.Tensor:
@@ -178,7 +176,7 @@ class Penalty(Task):
 
 
 class Impulse(Task):
-    """Articulations with contacts as impulses."""
+    """A task whose articulations have impulse contacts (Featherstone solver)."""
 
     solver_name = "Featherstone"
 
@@ -193,12 +191,12 @@ class Impulse(Task):
         return diff.state_joint_q_tensor(state).reshape(self.worlds, -1)
 
     def push_off(self, rates: nova.Tensor) -> None:
-        """Set the first rates {worlds, dofs}."""
+        """Set the initial joint rates {worlds, dofs}."""
         diff.state_joint_qd_tensor(self.path[0]).copy_(rates.reshape(rates.size))
 
 
 class Ball(Task):
-    """A ball bounces off the ground and a wall, towards a target."""
+    """A ball bounces off the ground and a wall towards a target."""
 
     name = "ball"
     start: ClassVar = [0.0, 5.0, -5.0]
@@ -217,12 +215,12 @@ class Ball(Task):
         builder.add_shape_plane((0.0, -1.0, 0.0, 1.75), width=0, length=0, cfg=self.surface())
 
     def away(self, place: nova.Tensor) -> nova.Tensor:
-        """Return the losses of places {worlds, 3}."""
+        """Return the losses {worlds} of positions {worlds, 3}."""
         return squares(place - nova.tensor(np.float32(self.target)))
 
 
 class BallParticle(Ball):
-    """The ball as a particle."""
+    """The ball as a particle with penalty contacts."""
 
     solver_name = "semi-implicit, particle"
 
@@ -243,7 +241,7 @@ class BallParticle(Ball):
         )
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
-        """Throw the particle with the velocity theta."""
+        """Return the losses if the particle starts with the velocity theta."""
         diff.state_particle_qd_tensor(self.path[0]).copy_(theta)
         return self.away(diff.state_particle_q_tensor(self.roll()))
 
@@ -256,26 +254,26 @@ class BallPenalty(Ball, Penalty):
         return penalties(1e4, 10.0, 100.0, 0.2)
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
-        """Throw the ball with the velocity theta."""
+        """Return the losses if the ball starts with the velocity theta."""
         diff.state_body_qd_tensor(self.path[0]).copy_(self.twists(theta, 3))
         return self.away(self.places(self.roll())[:, 0, 0:3])
 
 
 class BallImpulse(Ball, Impulse):
-    """The ball as an articulation."""
+    """The ball as an articulation with impulse contacts."""
 
     def surface(self) -> novaphy.ShapeConfig:
         """Return the material of all shapes."""
         return impulses(0.2, 0.8)
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
-        """Throw the ball with the velocity theta."""
+        """Return the losses if the ball starts with the velocity theta."""
         self.push_off(self.twists(theta, 3))
         return self.away(self.coordinates(self.roll())[:, 0:3])
 
 
 class Billiard(Task):
-    """A ball hits a second one, which hits a third one, without friction of a table."""
+    """A ball hits a second ball, which hits a third ball, without a table and its friction."""
 
     name = "billiard"
     start: ClassVar = [2.0, 0.1]
@@ -291,26 +289,26 @@ class Billiard(Task):
             builder.add_shape_sphere(body, radius=0.1, cfg=self.surface())
 
     def add_ground(self, builder: novaphy.ModelBuilder) -> None:
-        """Add nothing."""
+        """Add no shared shapes."""
 
     def away(self, place: nova.Tensor) -> nova.Tensor:
-        """Return the losses of places {worlds, 2} of the third ball."""
+        """Return the losses {worlds} of positions {worlds, 2} of the third ball."""
         return squares(place - nova.tensor(np.float32([[1.3, 0.35]])))
 
 
 class BilliardPenalty(Billiard, Penalty):
-    """The balls with penalty contacts."""
+    """The balls as bodies with penalty contacts."""
 
     def surface(self) -> novaphy.ShapeConfig:
         """Return the material of all shapes."""
         return penalties(2e4, 5.0, 20.0, 0.1)
 
     def settings(self) -> dict:
-        """Return further options of the solver."""
+        """Return additional options of the solver."""
         return {"angular_damping": 0.0}
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
-        """Push the first ball."""
+        """Return the losses if the first ball starts with the velocity theta."""
         diff.state_body_qd_tensor(self.path[0]).copy_(
             self.twists(theta, 16).reshape(3 * self.worlds, 6)
         )
@@ -318,14 +316,14 @@ class BilliardPenalty(Billiard, Penalty):
 
 
 class BilliardImpulse(Billiard, Impulse):
-    """The balls as articulations."""
+    """The balls as articulations with impulse contacts."""
 
     def surface(self) -> novaphy.ShapeConfig:
         """Return the material of all shapes."""
         return impulses(0.1, 0.9)
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
-        """Push the first ball."""
+        """Return the losses if the first ball starts with the velocity theta."""
         self.push_off(self.twists(theta, 16))
         return self.away(self.coordinates(self.roll())[:, 14:16])
 
@@ -343,12 +341,12 @@ class Toss(Task):
         builder.add_shape_box(body, hx=0.1, hy=0.1, hz=0.1, cfg=self.surface())
 
     def away(self, place: nova.Tensor) -> nova.Tensor:
-        """Return the losses of places {worlds, 2}."""
+        """Return the losses {worlds} of positions {worlds, 2}."""
         return squares(place - nova.tensor(np.float32([[1.0, 0.2]])))
 
 
 class TossPenalty(Toss, Penalty):
-    """The box with penalty contacts."""
+    """The box as a body with penalty contacts."""
 
     steps = 960
     rate = 960
@@ -358,34 +356,34 @@ class TossPenalty(Toss, Penalty):
         return penalties(4e3, 30.0, 50.0, 0.4)
 
     def settings(self) -> dict:
-        """Return further options of the solver."""
+        """Return additional options of the solver."""
         return {"friction_smoothing": 0.1}
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
-        """Toss the box with the twist theta."""
+        """Return the losses if the box starts with the twist theta."""
         diff.state_body_qd_tensor(self.path[0]).copy_(theta)
         return self.away(self.places(self.roll())[:, 0, 0:2])
 
 
 class TossMean(TossPenalty):
-    """The box with the mean force of penalty contacts, whose gradient is that of the motion."""
+    """The box with the mean force of penalty contacts, whose gradient is exact of the motion."""
 
     solver_name = "semi-implicit, mean"
     modes = ("code",)
 
     def settings(self) -> dict:
-        """Return further options of the solver."""
+        """Return additional options of the solver."""
         return {**super().settings(), "penalty_law": "mean"}
 
 
 class TossImpulse(Toss, Impulse):
-    """The box as an articulation."""
+    """The box as an articulation with impulse contacts."""
 
     def surface(self) -> novaphy.ShapeConfig:
         """Return the material of all shapes."""
         return impulses(0.4, 0.2)
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
-        """Toss the box with the twist theta."""
+        """Return the losses if the box starts with the twist theta."""
         self.push_off(theta)
         return self.away(self.coordinates(self.roll())[:, 0:2])

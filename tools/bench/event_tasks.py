@@ -1,11 +1,10 @@
 #!/usr/bin/env python3
-"""Compare gradients through contact events with the slope of the smoothed loss, on eight tasks.
+"""Compare gradients through contact events with a zeroth-order gradient, on eight tasks.
 
-The reference is the zeroth-order gradient at a quarter of the task's sigma: the mean of
-(L(theta + s w) - L(theta - s w)) w / (2 s) over samples w of the normal distribution. The program
-prints, per task, solver and start, the standard error of the reference relative to its length, and
-per contact_gradient the cosine with it, the length relative to it, and the label.
-
+The reference is the zeroth-order gradient of the smoothed loss at a quarter of the task's sigma:
+the mean of (L(theta + s w) - L(theta - s w)) w / (2 s) over normal samples w. For each task, solver
+and start, the program prints the standard error of the reference relative to its length. For each
+contact_gradient it prints the cosine with the reference, the length relative to it, and the label.
     python tools/bench/event_tasks.py --only toss --samples 4096 --starts 4
 """
 
@@ -23,28 +22,28 @@ PART_OF_SIGMA = 0.25
 
 
 class Reference(NamedTuple):
-    """A zeroth-order gradient and its standard error, in units of sigma."""
+    """A zeroth-order gradient and its relative standard error, in units of sigma."""
 
     gradient: np.ndarray
-    error: float  # relative to the length
+    error: float  # relative to the length of the gradient
 
 
 class Gradient(NamedTuple):
-    """How a gradient compares with a reference."""
+    """A comparison of a gradient with a reference."""
 
     cosine: float
-    length: float  # relative to that of the reference
+    length: float  # relative to the length of the reference
     label: str
 
 
 def start_of(task: type[Task], number: int) -> np.ndarray:
-    """Give the parameters of a start; those behind the first are two sigma around it."""
+    """Return the parameters of a start. Later starts are random, two sigma around the first."""
     noise = np.random.default_rng(number).normal(size=len(task.start)) if number > 0 else 0.0
     return np.float64(task.start) + 2.0 * np.float64(task.sigma) * noise
 
 
 def smoothed(task: Task, theta: np.ndarray, samples: int, seed: int = 5) -> Reference:
-    """Estimate the gradient in units of sigma, from antithetic samples."""
+    """Return the zeroth-order gradient in units of sigma, from antithetic samples."""
     half, rng = task.worlds // 2, np.random.default_rng(seed)
     step = PART_OF_SIGMA * np.float64(task.sigma)
     found = []
@@ -59,7 +58,7 @@ def smoothed(task: Task, theta: np.ndarray, samples: int, seed: int = 5) -> Refe
 
 
 def compare(task: Task, theta: np.ndarray, reference: Reference) -> Gradient:
-    """Compare the gradient of one world with the reference."""
+    """Compare the gradient of one world with a reference."""
     gradients, info = task.gradients(theta[None])
     ours = gradients[0] * np.float64(task.sigma)
     length = np.linalg.norm(ours)
@@ -69,7 +68,7 @@ def compare(task: Task, theta: np.ndarray, reference: Reference) -> Gradient:
 
 
 def main() -> None:
-    """Print a line per task, solver and start, and the medians of the starts."""
+    """Print a line for each task, solver and start, and the medians over the starts."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", default="", help="part of the class names of tasks")
     parser.add_argument("--starts", type=int, default=4)

@@ -1,13 +1,14 @@
 #!/usr/bin/env python3
-"""Reads robot files with mutations: an error with the file and the line, and never a crash.
-
+"""Read mutated robot files, each of which must load or give an error with file and line.
     python tools/bench/fuzz_robot_files.py FOLDER [--count 20000] [--seed 1]
 
-FOLDER has one folder a collection, as for robot_files.py. Each round takes a file of at most
-100 kB, changes it in one to four places (numbers, attributes, elements, bytes, names of files,
-includes, ends) and reads it beside its meshes. Prints how many were read, refused with the place in
-the file, and refused without. A crash, more than 30 s, memory of more than 4 GiB and an open file
-outside of the folders are faults, with their rounds, and the result is 1. Linux only.
+FOLDER has one folder for each collection, as for robot_files.py. Each round takes a file of at most
+100 kB, and changes it in one to four places: numbers, attributes, elements, bytes, names of files,
+includes, ends. Then it reads the file beside its meshes.
+
+Prints the number of files that were read, refused with a place in the file, and refused without
+one. Faults are a crash, more than 30 s, more than 4 GiB of memory, and an opened file outside of
+the folders. The program prints the rounds of faults, and then exits with 1. Linux only.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ IN_OPEN, IN_NONBLOCK = 0x20, 0x800
 
 
 class Watch:
-    """Whether somebody opens a file of a folder."""
+    """Detects whether a process opens a file of a folder."""
 
     def __init__(self, folder: Path) -> None:
         self.libc = ctypes.CDLL(None, use_errno=True)
@@ -86,13 +87,13 @@ def mutate(text: bytes, random: random.Random, outside: Path, own: str) -> bytes
         elif kind == 5:
             values = [m.group() for m in places(rb'"[^"]*"')] or [b'""']
             text = put(one(rb'"[^"]*"'), random.choice(values))
-        elif kind == 6:  # an element again, or gone
+        elif kind == 6:  # an element twice, or removed
             match = one(rb"<[^<>]*/>")
             again = b"" if match is None else match.group() * random.randint(0, 3)
             text = put(match, again)
         elif kind == 7:
             text = put(one(rb"</?\w+"), random.choice([b"<geom", b"</body", b"<", b"<!--", b"<x"]))
-        elif kind == 8:  # cut
+        elif kind == 8:  # cut off
             text = text[: random.randrange(len(text) + 1)]
         elif kind == 9:
             at = random.randrange(len(text) + 1)
@@ -100,19 +101,19 @@ def mutate(text: bytes, random: random.Random, outside: Path, own: str) -> bytes
         elif kind == 10:  # a part twice
             a, b = sorted(random.randrange(len(text) + 1) for _ in range(2))
             text = text[:b] + text[a : min(b, a + 4000)] + text[b:]
-        elif kind == 11:  # a name of a file elsewhere
+        elif kind == 11:  # a file name elsewhere
             name = random.choice(["secret.obj", "secret.stl", "secret.xml"])
             up = "../" * 12 + str(outside / name).lstrip("/")
             ways = [str(outside / name), f"file://{outside / name}", up, f"package://x/{up}"]
             named = rb'"[^"]*\.(?:obj|stl|STL|dae|xml|png|msh)"'
             text = put(one(named), f'"{random.choice(ways)}"'.encode())
-        elif kind == 12:  # itself, a missing file, or one outside
+        elif kind == 12:  # the file itself, a missing file, or one outside
             name = random.choice([own, "missing.xml", str(outside / "secret.xml")])
             text = put(one(rb"<(?=\w)"), f'<include file="{name}"/><'.encode())
         elif kind == 13:
             entities = b'<!DOCTYPE r [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;&a;">]>'
             text = entities + text.replace(b'name="', b'name="&b;', 1)
-        elif kind == 14:  # deep, or long
+        elif kind == 14:  # nested deeply, or long
             text = put(one(rb"<(?=\w)"), b"<body>" * random.choice([10, 100, 3000]) + b"<")
         else:
             text = put(one(rb'(?<=")[^"]*(?=")'), b"1 " * random.choice([100, 100000]))
@@ -172,7 +173,7 @@ def read(novaphy, path, mutated, chance, outside, collection) -> str:
 
 
 def said(process: subprocess.Popen) -> Iterator[str]:
-    """Yield the lines of the worker, until the worker ends or takes too long."""
+    """Yield the lines of the worker process, until it ends or takes too long."""
     data, wait = b"", 4 * SECONDS
     while select.select([process.stdout], [], [], wait)[0]:
         more = os.read(process.stdout.fileno(), 65536)

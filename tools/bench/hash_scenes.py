@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
-"""Hash states and gradients of the scenes of tools/bench after a few steps, and compare.
-
+"""Hash states and gradients of the scenes of tools/bench after a few steps, and compare them.
     python tools/bench/hash_scenes.py              # compare with tests/golden/scenes.txt
-    python tools/bench/hash_scenes.py --write      # write it
+    python tools/bench/hash_scenes.py --write      # write this file
     python tools/bench/hash_scenes.py --print --scene ball fr3
 
-Each scene runs with one thread and with two, and with every instruction set that the processor
-has: all hashes are the same. With --device cuda:0, those that a device takes run there instead. A
-line of the file is a scene, what is hashed, and the hash. "inputs" are the numbers that a scene
-starts from: where they differ, NumPy computed them otherwise, and the engine is not to blame.
+Each scene runs with one thread and with two, and with every instruction set of the processor. All
+hashes must be the same. With --device cuda:0, scenes that support devices run on that device
+instead. A line of the file has the scene, the name of the hashed array, and the hash. "inputs" is
+the hash of a scene's initial values. If it differs, NumPy computed other values, and the engine is
+not the cause.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from hashed_scenes import ON_DEVICES, SCENES
 
 ROOT = Path(__file__).resolve().parents[2]
 GOLDEN = ROOT / "tests" / "golden" / "scenes.txt"
-LEVELS = {"baseline": "", "avx2": "avx2", "avx512": "avx512f"}  # with what a processor must have
+LEVELS = {"baseline": "", "avx2": "avx2", "avx512": "avx512f"}  # level -> processor feature
 
 
 def digest(arrays: list[np.ndarray]) -> str:
-    """Return the hash of the bits of float32 values. All values must be numbers, not NaN."""
+    """Return the hash of the bits of float32 values. ValueError: a value is NaN."""
     found = hashlib.sha256()
     for array in arrays:
         values = np.ascontiguousarray(array, np.float32)
@@ -41,7 +41,7 @@ def digest(arrays: list[np.ndarray]) -> str:
 
 
 def run(names: list[str], device: str) -> None:
-    """Print the lines of scenes, in this process."""
+    """Print the lines of scenes, which run in this process."""
     import novaphy
 
     for name in names:
@@ -53,7 +53,7 @@ def run(names: list[str], device: str) -> None:
 
 
 def in_process(label: str, names: list[str], **environment: str) -> tuple[str, list[str]]:
-    """Hash scenes in an own process with the given environment. Return the lines."""
+    """Hash scenes in a separate process with the given environment. Return label and lines."""
     device = environment.pop("device", "cpu")
     command = [sys.executable, __file__, "--print", "--device", device, "--scene", *names]
     done = subprocess.run(
@@ -65,7 +65,7 @@ def in_process(label: str, names: list[str], **environment: str) -> tuple[str, l
 
 
 def runs(device: str) -> list[tuple[str, dict[str, str]]]:
-    """Return every way to run a scene, with its environment."""
+    """Return the label and the environment of every way to run a scene."""
     if device != "cpu":
         return [(device, {"device": device})]
     flags = Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else ""
@@ -90,7 +90,7 @@ def differences(label: str, lines: list[str], golden: dict[str, str]) -> list[st
 
 
 def main() -> int:
-    """Print, write or compare the hashes. Return 0 if none differs."""
+    """Print, write or compare the hashes. Return 0 if no hash differs."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--write", action="store_true", help="write the file")
     parser.add_argument("--print", action="store_true", help="print the hashes of one run")

@@ -1,4 +1,4 @@
-"""The scenes that hash_scenes.py hashes, after the programs of this folder."""
+"""The scenes that hash_scenes.py hashes. They are small versions of the programs of this folder."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ ON_DEVICES: set[str] = set()
 
 
 def scene(name: str, on_devices: bool = False) -> Callable:
-    """Register a scene, a function of a device."""
+    """Register a scene: a function that takes a device and returns arrays by name."""
 
     def register(function: Callable[[str], Hashed]) -> Callable[[str], Hashed]:
         SCENES[name] = function
@@ -24,7 +24,7 @@ def scene(name: str, on_devices: bool = False) -> Callable:
 
 
 def steps(model, solver, count: int, dt: float, pipeline=None, control=None) -> Hashed:
-    """Run steps from the state of a model, with a search for contacts in each."""
+    """Run steps from the initial state of a model, with a search for contacts in each step."""
     import novaphy
 
     now, after = model.state(), model.state()
@@ -48,7 +48,7 @@ def arrays_of(state) -> list[np.ndarray]:
 
 
 def gradients(model, solver, count: int, dt: float, pipeline=None, control=None) -> Hashed:
-    """Run a rollout. Return the gradient of the squares of its last state by its first."""
+    """Return the gradient of the sum of squares of a rollout's last state by its first state."""
     import novaphy
     from novaphy import diff, nova
 
@@ -126,7 +126,7 @@ def pile(device: str) -> Hashed:
 
 @scene("few columns", on_devices=True)
 def few_columns(device: str) -> Hashed:
-    """Run novaphy_rigid.py: as much as a stand-in for a device computes in a second."""
+    """Run novaphy_rigid.py: few enough boxes for the stand-in for a device."""
     return boxes("columns", 12, device, 3)
 
 
@@ -183,7 +183,7 @@ def vbd_model(device: str, cells: tuple[int, int], sphere: bool):
 
 @scene("vbd cloth of 2145")
 def vbd_cloth(device: str) -> Hashed:
-    """Run bench_vbd.py: the cloth that hangs from its left side."""
+    """Run bench_vbd.py: a cloth that hangs from its left side."""
     import novaphy
 
     model = vbd_model(device, (64, 32), False)
@@ -203,7 +203,7 @@ def vbd_sphere(device: str) -> Hashed:
 
 @scene("vbd unrolled gradient")
 def vbd_unrolled(device: str) -> Hashed:
-    """Run bench_vbd.py: the gradient through the sweeps."""
+    """Run bench_vbd.py: the gradient of the iterations."""
     import novaphy
 
     model = vbd_model(device, (24, 7), False)
@@ -212,7 +212,7 @@ def vbd_unrolled(device: str) -> Hashed:
 
 @scene("small vbd cloth on a sphere", on_devices=True)
 def vbd_small(device: str) -> Hashed:
-    """Run bench_vbd.py: a piece of cloth on the sphere, with its gradient."""
+    """Run bench_vbd.py: a small cloth on the sphere, with its gradient."""
     import novaphy
 
     model = vbd_model(device, (6, 3), True)
@@ -224,7 +224,7 @@ def vbd_small(device: str) -> Hashed:
 
 @scene("vbd implicit gradient")
 def vbd_implicit(device: str) -> Hashed:
-    """Run bench_vbd.py: the gradient of the solution."""
+    """Run bench_vbd.py: the gradient of the step's solution."""
     import novaphy
 
     model = vbd_model(device, (12, 4), False)
@@ -247,7 +247,7 @@ def step_size(device: str) -> Hashed:
 
 @scene("fr3", on_devices=True)
 def fr3(device: str) -> Hashed:
-    """Run novaphy_articulation.py: arms that their drives hold."""
+    """Run novaphy_articulation.py: arms that hold a pose by their drives."""
     import novaphy_articulation
 
     import novaphy
@@ -281,7 +281,7 @@ def chain(device: str) -> Hashed:
 
 
 def landed_ants(device: str, worlds: int, requires_grad: bool):
-    """Return Ants that stand on their feet, under torques."""
+    """Return Ants that stand on their feet, and random torques."""
     import novaphy_articulation
 
     import novaphy

@@ -1,26 +1,24 @@
 #!/usr/bin/env python3
-"""Time the ball training iteration written in JAX, on the CPU.
+"""Time the ball training iteration, written in JAX, on the CPU.
 
-The scene, the iteration and the JSON lines are those of newton_ball.py beside this file; see there.
-One iteration is one call of a compiled function: `value_and_grad` of a loss over `lax.scan` of the
-substeps, and the update. The two contacts of every ball, wall and ground, are those that Newton and
-NovaPhy find at the first state, and stay fixed. Positions, velocities, contacts and material are
-arguments of the function, so that the compiler cannot fold them away. A vector is a tuple of three
-arrays {n}: of the forms tried, the one that XLA compiles to the fastest code here.
+The scene, the iteration and the JSON lines are those of newton_ball.py. An iteration is one call of
+a compiled function: `value_and_grad` of a loss over `lax.scan` of the substeps, and the update. The
+two contacts of every ball (wall and ground) are those that Newton and NovaPhy find for the first
+state, and stay constant. Positions, velocities, contacts and material are arguments of the
+function, so that the compiler cannot treat them as constants. A vector is a tuple of three arrays
+{n}, the form that XLA compiles to the fastest code.
 
 Modes:
-
 * `full`: the contact law with every term: elastic force, damping, friction with its cone, the
-  cut-off, the flag of the particle and the clamp of its velocity.
-* `lean`: what is zero in this scene is left out by hand: friction (kf is 0), the flag, the clamp,
+  cut-off, the flag of the particle and the limit of its velocity.
+* `lean`: without the terms that are zero in this scene: friction (kf is 0), the flag, the limit,
   the mass of 1, the cut-off of 0, the mean of material values that are equal.
 
-Gradients of `full` are kept finite by taking lengths of vectors that are not zero.
+In `full` a vector of length 0 has no gradient, so that gradients stay finite.
 
-`compile_s` is the time of tracing and compiling the iteration, and `first_s` runs from the start
-of building the scene to the end of the first iteration, compilation included. A case whose compiled
-program asks for more memory than the machine has free is not run; its record says so in `skipped`.
-
+`compile_s` is the time of tracing and compiling the iteration. `first_s` is the time from the start
+of building the scene to the end of the first iteration, with compilation. A case that needs more
+memory than is free does not run, and its record has the reason in `skipped`.
     pip install jax==0.10.2 jaxlib==0.10.2
     python tools/bench/jax_ball.py --n 1 10 1000 --mode lean --iterations 20
 """
@@ -51,7 +49,7 @@ State = tuple[Vector, Vector]  # positions, velocities
 
 
 class Scene(NamedTuple):
-    """What the iteration reads. The contacts, one list entry each: wall, ground."""
+    """The inputs of the iteration. The lists have an entry for each contact: wall, ground."""
 
     position: Vector
     target: Vector
@@ -62,7 +60,7 @@ class Scene(NamedTuple):
     normal: list[Vector]
     material: Array  # {4}: ke, kd, kf, mu of the model
     shape_material: Array  # {2, 4}
-    gravity: Vector  # of numbers
+    gravity: Vector  # of scalars
     max_velocity: Array
     adhesion: Array
 
@@ -135,7 +133,7 @@ def length_and_unit(a: Vector) -> tuple[Array, Vector]:
 
 
 def full_contact(scene: Scene, k: int, x: Vector, v: Vector) -> Vector:
-    """Return the force of contact k to be subtracted, with all its terms."""
+    """Return the force of contact k with all terms. The caller subtracts this force."""
     ke, kd, kf, mu = 0.5 * (scene.material + scene.shape_material[k])
     normal = scene.normal[k]
     c = dot(normal, sub(x, scene.point[k])) - scene.radius
@@ -162,7 +160,7 @@ def full_step(scene: Scene, x: Vector, v: Vector) -> State:
 
 
 def lean_contact(scene: Scene, k: int, x: Vector, v: Vector) -> Vector:
-    """Return the force of contact k to be subtracted, without the terms that are zero."""
+    """Return the force of contact k without the terms that are zero. The caller subtracts it."""
     ke, kd = scene.material[0], scene.material[1]
     normal = scene.normal[k]
     c = dot(normal, sub(x, scene.point[k])) - scene.radius
@@ -178,7 +176,7 @@ def lean_step(scene: Scene, x: Vector, v: Vector) -> State:
 
 
 def make_iteration(mode: str) -> Callable[[Vector, Scene], tuple[Array, Vector]]:
-    """Return a training iteration: from the initial velocity to the loss and the new velocity."""
+    """Return a training iteration that maps the initial velocity to the loss and a new velocity."""
     step = full_step if mode == "full" else lean_step
 
     def loss_of(velocity: Vector, scene: Scene) -> Array:

@@ -1,16 +1,15 @@
 #!/usr/bin/env python3
-"""Time one large world on one thread of the CPU. Scenes:
+"""Time one large world on one thread of the CPU.
 
-* `cubes`: N x N x N cubes of 10 cm, face to face on a plane, `SolverFeatherstone` with its
-  defaults at 1/240 s. A search over all gaps, one for the step (`dt`), and the step.
-* `terrain`: 20 boxes of 0.5 m on hills of 2 N² triangles, in cells of 2.5 cm, with the gaps of
-  shapes that have none. The pipeline is made, then searches.
+Scenes:
+* `cubes`: N x N x N cubes of 10 cm, face to face on a plane, `SolverFeatherstone` with default
+  options at 1/240 s. Times a search with all gaps, a search for the step (`dt`), and the step.
+* `terrain`: 20 boxes of 0.5 m on hills of 2 N² triangles, in cells of 2.5 cm, with the default
+  gaps of shapes. Times the construction of the pipeline, and searches.
+* `resting`: N boxes of 10 cm at rest in columns of ten, and a ball that is thrown at them. Times
+  steps with the search, with and without `--sleep`.
 
-* `resting`: N boxes of 10 cm at rest in columns of ten, and a ball thrown at them. Steps with the
-  search, with and without `--sleep`.
-
-Prints a line of JSON for each size: medians of CPU time, in seconds.
-
+Prints a JSON line for each size: medians of CPU time (s).
     NOVAPHY_NUM_THREADS=1 python tools/bench/large_worlds.py --scene cubes --n 8
     NOVAPHY_NUM_THREADS=1 python tools/bench/large_worlds.py --scene terrain --n 707
     NOVAPHY_NUM_THREADS=1 python tools/bench/large_worlds.py --scene resting --n 100000 --sleep
@@ -76,7 +75,7 @@ def height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def terrain(n: int, repeats: int) -> dict[str, object]:
-    """Time boxes that touch hills at their highest point below."""
+    """Time boxes whose lowest points touch the hills."""
     line = (np.arange(n + 1) - n / 2) * CELL
     x, y = np.meshgrid(line, line)
     z = height(x, y)
@@ -107,7 +106,7 @@ def terrain(n: int, repeats: int) -> dict[str, object]:
 
 
 def resting(n: int, repeats: int, solver: str, sleeps: bool) -> dict[str, object]:
-    """Time n boxes in columns of ten, at which a ball is thrown."""
+    """Time n resting boxes in columns of ten, at which a ball is thrown."""
     surface = novaphy.ShapeConfig(ke=2e4, kd=40.0, kf=40.0, mu=0.5, gap=0.002)
     builder = novaphy.ModelBuilder()
     builder.add_ground_plane(cfg=surface)
@@ -161,7 +160,7 @@ def resting(n: int, repeats: int, solver: str, sleeps: bool) -> dict[str, object
 
 
 def main() -> None:
-    """Run one scene, of each size."""
+    """Run one scene for each size."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,9 +1,8 @@
 #!/usr/bin/env python3
-"""Time MuJoCo on rigid bodies. Scenes and records: see rigid.py beside this file.
+"""Time MuJoCo on rigid bodies. rigid.py describes scenes and records.
 
-MuJoCo's own defaults, but for friction. Its contacts are constraints: a time constant (`solref`),
-not a stiffness, says how deep bodies sink.
-
+All options but friction have MuJoCo's defaults. Contacts are constraints: a time constant
+(`solref`) and not a stiffness determines how deep bodies overlap.
     pip install mujoco==4.0.0
     python tools/bench/mujoco_rigid.py --scene columns --n 1000
 """
@@ -21,7 +20,7 @@ class Boxes:
     dt = 1.0 / 500
 
     def __init__(self, scene: str, n: int, turn: float, factor: float, device: str) -> None:
-        """Build the model; MuJoCo runs on the CPU, and has no stiffness."""
+        """Build the model. MuJoCo runs on the CPU, and its contacts have no stiffness."""
         if factor != 1.0:
             raise SystemExit(f"mujoco_rigid: --stiffer: expected 1, got {factor}")
         if device != "cpu":
@@ -46,7 +45,7 @@ class Boxes:
         mujoco.mj_step(self.model, self.data)
 
     def contacts(self) -> np.ndarray:
-        """Return the depths of the last step (m)."""
+        """Return the contact depths of the last step {count} (m)."""
         return -np.array(self.data.contact.dist)
 
 

@@ -1,38 +1,36 @@
 #!/usr/bin/env python3
 """Time Newton's ball training iteration on many balls.
 
-The scene is Newton's `diffsim_ball` example with N copies of its particle. One iteration is what
-the example does: 288 semi-implicit substeps, the loss, the tape's backward pass, the update
-`v0 -= 0.02 * grad`, and clearing the gradients.
+The scene is Newton's `diffsim_ball` example with N copies of its particle. An iteration is that of
+the example: 288 semi-implicit substeps, the loss, the tape's backward pass, the update `v0 -= 0.02
+* grad`, and clearing the gradients.
 
 Scene, for ball k of N:
-
-* offset `dx_k = ((k % 7) - 3) * 0.05` in float32 (0 when N is 1), position `(dx_k, -0.5, 1)`,
+* offset `dx_k = ((k % 7) - 3) * 0.05` in float32 (0 if N is 1), position `(dx_k, -0.5, 1)`,
   velocity `(0, 5, -5)`, mass 1, radius 0.1, target `(dx_k, -2, 1.5)`;
 * loss: the sum over k of `|x_k(288) - target_k|^2`;
-* box wall and ground plane of the example, contacts generated once from the first state with a gap
-  of 10;
-* no particle-particle contact: `model.particle_grid` is None. Newton skips it for one particle, and
-  the copies lie closer together than their diameter.
+* box wall and ground plane of the example, with contacts that are found once for the first state,
+  with a gap of 10;
+* no particle-particle contact (`model.particle_grid` is None). Newton skips this contact for one
+  particle, and the distance of the copies is smaller than their diameter.
 
 Modes:
-
 * `eager`: every iteration launches its kernels from Python and records a new tape.
-* `captured`: the iteration is captured once with `wp.ScopedCapture` and replayed, as the example
-  does.
-* `captured-lean`: as `captured`, with a pipeline that holds no rigid contacts
-  (`rigid_contact_max=0`). The solver then leaves out the rigid contact kernel, which does nothing
-  in this scene but is launched over 1,000 empty slots in every substep otherwise.
+* `captured`: the iteration is captured once with `wp.ScopedCapture` and replayed, as the example.
+* `captured-lean`: as `captured`, with a pipeline without rigid contacts (`rigid_contact_max=0`).
+  The solver then does not launch the kernel of rigid contacts. In this scene that kernel has no
+  effect, but runs over 1,000 empty slots in every substep.
 
-Each measurement prints one JSON line. `first_s` runs from the start of building the model to the
-end of the first iteration and includes loading (with `--cold`: compiling) the kernels and the
-capture; measurements that follow in the same process find the kernels loaded. The initial velocity
-is then restored, and `iterations` iterations are timed one by one. `loss` and `result_hash` belong
-to the last of these: the hash is the first 16 hex digits of sha256 over the final `particle_q` and
-the gradient with respect to the initial velocity, both as float32 bytes. The loss of N > 1 is one
-float32 sum over all balls, added up in turn: it is rough for large N (0.1 % at N = 100,000) and may
-vary between runs on a GPU. The gradient and the hash do not depend on it.
+Each measurement prints one JSON line. `first_s` is the time from the start of building the model to
+the end of the first iteration. It includes the capture and the loading of the kernels (with
+`--cold`: their compilation). Later measurements in the same process find the kernels loaded. The
+initial velocity is then restored, and `iterations` iterations are timed one by one.
 
+`loss` and `result_hash` are those of the last iteration. The hash is the first 16 hex digits of the
+SHA-256 of the final `particle_q` and the gradient with respect to the initial velocity (float32
+bytes). The loss of N > 1 balls is one float32 sum over all balls. It is inexact for large N (0.1 %
+at N = 100,000) and may vary between runs on a GPU. The gradient and the hash do not depend on the
+loss.
     pip install newton==1.8.0 warp-lang==1.19.0
     python tools/bench/newton_ball.py --n 1 10 1000 --mode captured --iterations 20
 """
@@ -63,7 +61,7 @@ MATERIAL = {"ke": 1.0e4, "kd": 1.0e1, "kf": 0.0, "mu": 0.2}
 
 @wp.kernel
 def single_loss_kernel(pos: wp.array[wp.vec3], target: wp.array[wp.vec3], loss: wp.array[float]):
-    """Squared distance of the only ball to its target, as in the example."""
+    """Compute the squared distance of the only ball to its target, as in the example."""
     delta = pos[0] - target[0]
     loss[0] = wp.dot(delta, delta)
 
@@ -158,7 +156,7 @@ class Balls:
         self.tape.backward(self.loss)
 
     def iterate(self) -> None:
-        """Run one training iteration. The gradients stay readable until the next one."""
+        """Run one training iteration. The gradients can be read until the next iteration."""
         if self.tape is not None:
             self.tape.zero()
         if self.graph is not None:

@@ -1,12 +1,11 @@
 #!/usr/bin/env python3
 """Time training iterations of Newton on a soft body and on cloth.
 
-Scenes and records: see deformable.py beside this file. The rollout and its backward pass are
-captured once with `wp.ScopedCapture` and replayed, as the examples do. Modes:
-
-* `captured`: as the examples are shipped.
-* `captured-lean`: without the passes that do nothing in these scenes: no hash grid of the particles
-  (`model.particle_grid = None`), no pass over (triangle, particle) pairs
+deformable.py describes scenes and records. The rollout and its backward pass are captured once with
+`wp.ScopedCapture` and replayed, as in the examples. Modes:
+* `captured`: the examples without changes.
+* `captured-lean`: without the kernels that have no effect in these scenes: no hash grid of the
+  particles (`model.particle_grid = None`), no kernel over (triangle, particle) pairs
   (`enable_tri_contact=False`).
 * `captured-bare`: as `captured-lean`, and without the 1,000 empty slots for rigid contacts
   (`rigid_contact_max=0`).
@@ -43,7 +42,7 @@ def centroid_kernel(q: wp.array[wp.vec3], centroid: wp.array[wp.vec3]):
 
 @wp.kernel
 def loss_kernel(centroid: wp.array[wp.vec3], target: wp.vec3, loss: wp.array[float]):
-    """Squared distance to the target."""
+    """Compute the squared distance of the centroid to the target."""
     delta = centroid[0] - target
     loss[0] = wp.dot(delta, delta)
 
@@ -108,7 +107,7 @@ class Deformable:
 
     @staticmethod
     def with_types(arguments: dict) -> dict:
-        """Vectors and quaternions as Warp's."""
+        """Return the arguments with vectors and quaternions as types of Warp."""
         return arguments | {
             "pos": wp.vec3(*arguments["pos"]),
             "rot": wp.quat(*arguments["rot"]),
@@ -130,7 +129,7 @@ class Deformable:
             for before, after in zip(self.states, self.states[1:]):
                 before.clear_forces()
                 contacts = None
-                if self.pipeline is not None:  # new ones in every substep, as the example does
+                if self.pipeline is not None:  # new contacts in every substep, as in the example
                     contacts = self.pipeline.contacts()
                     self.pipeline.collide(before, contacts)
                 self.solver.step(before, after, self.control, contacts, DT)
@@ -156,7 +155,7 @@ class Deformable:
         wp.synchronize_device()
 
     def prepare(self) -> None:
-        """Do nothing, because no preparation is left."""
+        """Do nothing, because no work runs beside the iterations."""
 
     def loss_value(self) -> float:
         """Return the loss of the last iteration, before its update."""

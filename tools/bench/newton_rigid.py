@@ -1,9 +1,8 @@
 #!/usr/bin/env python3
-"""Time Newton on rigid bodies. Scenes and records: see rigid.py beside this file.
+"""Time Newton on rigid bodies. rigid.py describes scenes and records.
 
-Boxes are stepped by `SolverSemiImplicit` with contacts found in every step, by sweep and prune;
-dice by the same solver under `wp.Tape`, launched step by step, as its differentiable examples do.
-
+Boxes use `SolverSemiImplicit`, with contacts by sweep and prune in every step. Dice use the same
+solver under `wp.Tape`, launched step by step, as in Newton's differentiable examples.
     pip install newton==1.8.0 warp-lang==1.19.0
     python tools/bench/newton_rigid.py --scene columns --n 1000
 """
@@ -61,7 +60,7 @@ class Boxes(PenaltyBoxes):
         self.now, self.next = self.model.state(), self.model.state()
 
     def step(self) -> None:
-        """Find contacts, step, wait."""
+        """Find contacts, run one step, and wait for the device."""
         super().step()
         wp.synchronize()
 
@@ -100,7 +99,7 @@ def add_mixed(builder: newton.ModelBuilder, n: int, factor: float) -> None:
 
 
 class Dice:
-    """Dice that fall, far apart, and the gradient of how they land."""
+    """Dice that fall far apart from each other, and the gradient of their last twists."""
 
     dt = DIE_DT * DIE_SUBSTEPS
 
@@ -141,12 +140,12 @@ class Dice:
         wp.synchronize()
 
     def contacts(self) -> np.ndarray:
-        """Return no depths, because this scene counts no contacts."""
+        """Return an empty array, because this scene counts no contacts."""
         return np.zeros(0)
 
 
 def make(scene: str, n: int, turn: float, factor: float, device: str) -> Boxes | Dice:
-    """Make the scene of a name."""
+    """Return the scene with a name."""
     return Dice(n, device) if scene == "dice" else Boxes(scene, n, turn, factor, device)
 
 

@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
-"""Time Newton on one world of boxes in columns (rigid.py) on a GPU: ten captured steps that find
-contacts anew, and the search alone. Prints a line of JSON: best of five, in seconds.
+"""Time Newton on one world of boxes in columns (rigid.py) on a GPU.
 
+The program times ten captured steps that find contacts again in each step, and the search alone. It
+prints a JSON line with the best of five times (s).
     pip install newton==1.8.0 warp-lang==1.19.0
     python tools/bench/newton_rigid_cuda.py --n 1000 --broad-phase sap
 """
@@ -22,7 +23,7 @@ DT, STEPS = 1.0 / 960, 10
 
 
 def best_time(record: Callable[[], None]) -> float:
-    """Time of what is captured, the best of five, s."""
+    """Return the best of five times of a captured function (s)."""
     with wp.ScopedCapture() as capture:
         record()
     times = []
@@ -37,7 +38,7 @@ def best_time(record: Callable[[], None]) -> float:
 
 
 def main() -> None:
-    """Run one size."""
+    """Run one size, and print its line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--n", type=int, default=1000)
     parser.add_argument("--broad-phase", choices=("sap", "nxn"), default="sap")

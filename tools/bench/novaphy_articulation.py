@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Time NovaPhy on articulations beside MuJoCo and Pinocchio, in one process on one thread.
+"""Time NovaPhy on articulations, and MuJoCo and Pinocchio, in one process on one thread.
 
-The FR3 arm holds a pose with its drives; the Ant stands under random torques, contacts found in
-every step. Time is that of the processor, of the fastest of some turns. Peers that are not
-installed are left out.
+The FR3 arm holds a pose with its drives. The Ant stands under random torques, with contacts that
+are found in every step. A time is the processor time of the fastest of several rounds. Peers that
+are not installed are left out.
 
     NOVAPHY_NUM_THREADS=1 python tools/bench/novaphy_articulation.py
     NOVAPHY_NUM_THREADS=1 python tools/bench/novaphy_articulation.py --page
@@ -12,10 +12,10 @@ With --humanoid, only Pinocchio's sample humanoid (34 dofs): steps and functions
 
     NOVAPHY_NUM_THREADS=1 python tools/bench/novaphy_articulation.py --humanoid
 
-With --device, world-steps per second there of FR3 arms and of Ants with their contacts, by the
-clock, captured, as lines of JSON with a hash of the last joint_q: that of the CPU, if the bits are.
-Also of Ants with the exact gradient through their contacts, a rollout of 20 steps and its adjoint,
-with a hash of the gradient of the first joint_qd and the label of the gradient.
+With --device, prints JSON lines with world-steps per second (wall time, captured) on the device, of
+FR3 arms, and of Ants with contacts. A line has a hash of the last joint_q, which is the same as on
+the CPU. A further line has a rollout of 20 steps of Ants and its adjoint through contacts, with a
+hash of the gradient with respect to the first joint_qd, and the label of the gradient.
 
     python tools/bench/novaphy_articulation.py --device cuda:0 --worlds 1024 65536
 """
@@ -44,7 +44,7 @@ import demo_articulated_scenes  # noqa: E402
 
 DT = 1e-3
 TURNS = 7
-# The line of the page from which on it is written by hand.
+# The page from this heading on is written by hand.
 BY_HAND = "## Goals"
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 POSE = (0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4)
@@ -52,8 +52,8 @@ KE, KD = (
     (600.0, 600.0, 600.0, 600.0, 250.0, 150.0, 50.0),
     (50.0, 50.0, 50.0, 50.0, 30.0, 25.0, 15.0),
 )
-# Rounded numbers of franka_description (Apache-2.0), for each link: joint origin and roll, mass,
-# center of mass, and inertia about the center of mass (xx yy zz xy xz yz).
+# Rounded values of franka_description (Apache-2.0) for each link: joint origin and roll (quarter
+# turns), mass, center of mass, and inertia about the center of mass (xx yy zz xy xz yz).
 FR3 = (
     (
         (0, 0, 0.333),
@@ -115,7 +115,7 @@ FR3 = (
 
 
 def matrix(inertia: tuple[float, ...]) -> np.ndarray:
-    """Return the matrix of (xx, yy, zz, xy, xz, yz)."""
+    """Return the symmetric matrix of the inertia (xx, yy, zz, xy, xz, yz)."""
     xx, yy, zz, xy, xz, yz = inertia
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
@@ -126,7 +126,7 @@ def rolled(roll: int) -> tuple[float, ...]:
 
 
 def fastest(run: Callable[[], None], units: int, turns: int = TURNS) -> float:
-    """Return the least processor time per unit (microseconds)."""
+    """Return the least processor time for each unit of work (microseconds) over several rounds."""
     run()
     times = []
     for _ in range(turns):
@@ -205,7 +205,7 @@ def time_steps(builder: novaphy.ModelBuilder, worlds: int, steps: int) -> float:
 
 
 def replayed(device: str, pair: Callable[[], None]) -> Callable[[], None]:
-    """Return a function of two steps, which are captured on a device."""
+    """Return a function that runs two steps. On a device it replays a capture of them."""
     if device == "cpu":
         return pair
     from novaphy import nova
@@ -218,7 +218,7 @@ def replayed(device: str, pair: Callable[[], None]) -> Callable[[], None]:
 def time_on(
     device: str, worlds: int, steps: int, reset: Callable[[], None], run: Callable[[], None]
 ) -> dict[str, object]:
-    """Time steps after `reset`, two in each call of `run`. Return the line of the result."""
+    """Time steps after `reset`, where `run` runs two steps. Return the line of the result."""
     times = []
     for _ in range(TURNS):
         reset()
@@ -241,7 +241,7 @@ def hash_of(state: novaphy.State) -> str:
 
 
 def time_device(device: str, worlds: int, steps: int = 100) -> dict[str, object]:
-    """Time steps of arms that swing to their pose: replayed on devices, direct on the CPU."""
+    """Time steps of arms that move to their pose: replayed on devices, direct on the CPU."""
     model = replicated(arm(), worlds, device)
     solver = novaphy.solvers.SolverFeatherstone(model)
     state, after = model.state(), model.state()
@@ -261,7 +261,7 @@ def time_device(device: str, worlds: int, steps: int = 100) -> dict[str, object]
 
 
 def time_device_ants(device: str, worlds: int, steps: int = 100) -> dict[str, object]:
-    """Time collide and step of landed Ants under torques, as time_device does."""
+    """Time searches and steps of landed Ants under torques, as time_device does."""
     ants = Ants(worlds, device)
     line = time_on(device, worlds, steps, ants.land, ants.run_pair)
     ants.solver.check_last_step()
@@ -348,7 +348,7 @@ def planar_arm() -> novaphy.ModelBuilder:
 
 
 def time_gradient(builder: novaphy.ModelBuilder, steps: int, worlds: int = 1) -> float:
-    """Return the time (s) of a step of a rollout and its adjoint, per world."""
+    """Return the time (s) of a step of a rollout with its adjoint, for each world."""
     from novaphy import nova
     from novaphy.diff import Trajectory, state_joint_q_tensor
 
@@ -370,7 +370,7 @@ def time_gradient(builder: novaphy.ModelBuilder, steps: int, worlds: int = 1) ->
 
 
 def time_ant_gradient(steps: int = 100) -> tuple[float, float]:
-    """Return the times (s) of a step of a standing Ant: with its adjoint, and the adjoint alone."""
+    """Return the times (s) of a step of a standing Ant with its adjoint, and of the adjoint."""
     from novaphy import nova
     from novaphy.diff import Trajectory, state_joint_q_tensor
 
@@ -398,10 +398,10 @@ def time_ant_gradient(steps: int = 100) -> tuple[float, float]:
 
 
 class Ants:
-    """Ants that have landed, under torques."""
+    """Ants that stand on their feet, and random torques."""
 
     def __init__(self, worlds: int, device: str = "cpu") -> None:
-        """Let them fall."""
+        """Let the Ants fall, and store the state in which they have landed."""
         self.model = replicated(demo_articulated_scenes.build_ant(), worlds, device)
         self.solver = novaphy.solvers.SolverFeatherstone(self.model)
         self.pipeline = novaphy.CollisionPipeline(self.model)
@@ -416,24 +416,24 @@ class Ants:
         self.landed = [x.numpy().copy() for x in (self.state.joint_q, self.state.joint_qd)]
 
     def land(self) -> None:
-        """Put them where they have landed."""
+        """Set the state in which the Ants have landed."""
         self.state.joint_q.assign(self.landed[0])
         self.state.joint_qd.assign(self.landed[1])
         novaphy.eval_fk(self.model, self.state.joint_q, self.state.joint_qd, self.state)
 
     def turn(self, steps: int) -> None:
-        """Step from there."""
+        """Run steps from the landed state."""
         self.land()
         self.run(steps)
 
     def pair(self) -> None:
-        """Run two steps."""
+        """Run two steps, so that the state is again in the first object."""
         for now, then in ((self.state, self.after), (self.after, self.state)):
             self.pipeline.collide(now, self.contacts)
             self.solver.step(now, then, self.control, self.contacts, DT)
 
     def run(self, steps: int) -> None:
-        """Step, with new torques every 50 steps."""
+        """Run steps, with new torques every 50 steps."""
         found = 0
         for t in range(0, steps, 2):
             if t % 50 == 0:
@@ -585,7 +585,7 @@ def time_functions(
 
 
 def measure_humanoid() -> list[tuple[str, float, str, float | None]]:
-    """Return rows as measure does; no rows without Pinocchio, which has the model."""
+    """Return rows like measure(), or none without Pinocchio, which has the model."""
     if importlib.util.find_spec("pinocchio") is None:
         return []
     builder, tree = humanoid(importlib.import_module("pinocchio"))
@@ -599,7 +599,7 @@ def measure_humanoid() -> list[tuple[str, float, str, float | None]]:
 
 
 def measure() -> list[tuple[str, float, str, float | None]]:
-    """Return rows (name, NovaPhy, peer, its time); times in microseconds."""
+    """Return rows (name, time in NovaPhy, peer, time in the peer), with times in microseconds."""
     has_mujoco = importlib.util.find_spec("mujoco") is not None
     mujoco_fr3 = time_mujoco(mujoco_arm(), False, 20_000) if has_mujoco else None
     mujoco = time_mujoco(mujoco_ant(), True, 5_000) if has_mujoco else None
@@ -648,7 +648,7 @@ def lanes() -> str:
 
 
 def curves() -> list[str]:
-    """Return the tables of costs over joints and worlds, as lines."""
+    """Return the lines of tables of times over the number of joints and of worlds."""
     lines = [
         "",
         "A step per world, µs, of chains of hinges with drives:",
@@ -674,7 +674,7 @@ def curves() -> list[str]:
 
 
 def write_page(rows: list[tuple[str, float, str, float | None]]) -> None:
-    """Write the tables of docs/performance-articulations.md. Text by hand below them stays."""
+    """Write the tables of docs/performance-articulations.md. The text below them stays."""
     page = ROOT / "docs" / "performance-articulations.md"
     by_hand = page.read_text("utf-8").partition(BY_HAND)[1:] if page.exists() else ()
     load = os.getloadavg()[0]

@@ -1,27 +1,25 @@
 #!/usr/bin/env python3
 """Time NovaPhy's ball training iteration on many balls.
 
-The scene, the iteration and the JSON lines are those of newton_ball.py beside this file; see there.
-Contacts are generated once, from the first state.
+The scene, the iteration and the JSON lines are those of newton_ball.py. Contacts are found once,
+for the first state.
 
 Modes:
-
-* `step`: a Python loop of `clear_forces` and `DiffSemiImplicitSolver.step` over one state per
-  substep, recorded on a new tape in every iteration. This is how Newton's example is written.
+* `step`: a Python loop of `clear_forces` and `DiffSemiImplicitSolver.step` over one state for each
+  substep, recorded on a new tape in every iteration. Newton's example has this form.
 * `rollout`: one call of `rollout` over a `Trajectory`, recorded on a new tape in every iteration.
 * `captured`: the `rollout` iteration, captured once with `nova.ScopedCapture` and replayed.
-* `leaves`: the same on a tape that keeps the gradients of leaves only.
+* `leaves`: as `captured`, on a tape that keeps only the gradients of leaves.
 
-With `--memory` it prints, instead of timings, how much memory `step`, `rollout` or `leaves` take
-per particle and substep, without a capture: `states_bytes` is what the states took, `tape_bytes`
-what recording and `backward` added to it (resident set).
+With `--memory` the program prints, instead of times, the memory of `step`, `rollout` or `leaves`
+for each particle and substep, without a capture. `states_bytes` is the memory of the states, and
+`tape_bytes` the additional resident memory of recording and `backward`.
 
-On a GPU the clocks are warmed up first, and `device_median_s` is the time between two events of the
-device around an iteration.
+On a GPU the program first runs until the clock rates are high. `device_median_s` is the time
+between two events of the device around an iteration.
 
-With `--operations` it prints how many float32 operations the Programs of one iteration hold per
-particle and substep (see `count_operations`).
-
+With `--operations` the program prints the number of float32 operations in the Programs of one
+iteration for each particle and substep (see `count_operations`).
     python tools/bench/novaphy_ball.py --n 1 10 1000 --mode step captured --iterations 20
 """
 
@@ -67,7 +65,7 @@ class Balls:
     """N balls, their states, contacts and training iteration."""
 
     def __init__(self, n: int, mode: str, device: str, capture: bool = True) -> None:
-        """Build the model and the contacts, and capture the iteration where the mode does."""
+        """Build the model and the contacts. Capture the iteration if the mode needs a capture."""
         self.n = n
         self.mode = mode
         position = np.zeros((n, 3), np.float32)
@@ -168,7 +166,7 @@ def timed_on_device(function: Callable[[], None], device: str) -> float:
 
 
 def warm_up(function: Callable[[], None], device: str) -> None:
-    """Raise the clocks of a GPU, which idles between scenes."""
+    """Run until the clock rates of a GPU are high, which fall while it is idle between scenes."""
     end = time.perf_counter() + WARM_UP
     while time.perf_counter() < end:
         function()
@@ -191,7 +189,7 @@ def measure(n: int, mode: str, iterations: int, device: str) -> dict[str, object
         on_device["device_median_s"] = statistics.median(events)
     balls.reset()
     seconds = [timed(balls.iterate, device) for _ in range(iterations - 1)]
-    before = balls.velocity.numpy()  # computed again below
+    before = balls.velocity.numpy()  # the next iteration computes the same again
     seconds.append(timed(balls.iterate, device))
     loss = balls.loss.item()
     digest = hashlib.sha256(balls.last.particle_q.numpy().tobytes())
@@ -216,7 +214,7 @@ def measure(n: int, mode: str, iterations: int, device: str) -> dict[str, object
 
 def measure_memory(n: int, mode: str, device: str) -> dict[str, object]:
     """Measure the memory of the states, and of recording and backward."""
-    Balls(1, mode, device, capture=False).record()  # makes the parts that all runs share
+    Balls(1, mode, device, capture=False).record()  # creates what all runs share
     balls = Balls(n, mode, device, capture=False)
     with nova.no_grad():
         balls.simulate()
@@ -241,10 +239,11 @@ ARITHMETIC = frozenset(["ADD", "SUB", "MUL", "DIV", "NEG", "ABS", "SQRT", "MIN",
 
 
 def operations_of(program: str, items: int) -> int:
-    """Float32 operations of one row of a Program's text, whose loops run over `items` items.
+    """Return the float32 operations of one row of a Program's text, with loops over `items` items.
 
-    Every instruction is a line `%number = NAME operands`, indented further inside a loop. A fused
-    multiply-add is two operations; comparisons, selections, loads and casts are none.
+    Every instruction is a line `%number = NAME operands`, with a larger indent inside a loop. A
+    fused multiply-add counts as two operations. Comparisons, selections, loads and casts do not
+    count.
     """
     total = 0
     for line in program.splitlines():
@@ -258,16 +257,16 @@ def operations_of(program: str, items: int) -> int:
 
 
 def count_operations(device: str) -> dict[str, object]:
-    """Operations of a substep and of its adjoint, per particle.
+    """Return the operations of a substep and of its adjoint for each particle.
 
-    Counted in the Programs, every region of them: kernels skip those that no lane of a group takes,
-    so that this is an upper bound. Each ball has two contacts.
+    The operations are counted in the text of the Programs, with all regions. The count is an upper
+    bound, because kernels skip regions that no lane of a group takes. Each ball has two contacts.
     """
     balls = Balls(1, "leaves", device)
     balls.iterate()
     texts = diff.engine_programs()
     counts: dict[str, int] = {}
-    for info in nova.kernel_info():  # the longest adjoint of a substep
+    for info in nova.kernel_info():  # finds the longest adjoint of a substep
         if info.name.split(".")[0] == "step_particles":
             operations = operations_of(texts[info.hash], 2)
             counts[info.name] = max(counts.get(info.name, 0), operations)

@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
-"""A layer, x @ weight.T, and its two gradients: NovaPhy and torch in turns, on one thread.
+"""Time a linear layer, x @ weight.T, and its two gradients: NovaPhy and torch, on one thread.
 
-Prints a JSON line: milliseconds (the fastest of the turns), their ratio, and a hash of the result.
+The engines take turns. Prints a JSON line: milliseconds (the fastest round), their ratio, and a
+hash of the result.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ def seconds(function: Callable[[], object]) -> float:
 
 
 def main() -> None:
-    """Measure one size."""
+    """Measure one size, and print the line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--size", type=int, nargs=3, default=(4096, 256, 256), metavar="N")
     parser.add_argument("--turns", type=int, default=15)

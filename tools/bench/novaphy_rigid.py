@@ -1,9 +1,8 @@
 #!/usr/bin/env python3
-"""Time NovaPhy on rigid bodies. Scenes and records: see rigid.py beside this file.
+"""Time NovaPhy on rigid bodies. rigid.py describes scenes and records.
 
-Boxes are stepped by `SolverSemiImplicit` with contacts found in every step, four rows a pair; dice
-by `DiffSemiImplicitSolver`, their training iteration captured once and replayed.
-
+Boxes use `SolverSemiImplicit`, with contacts in every step and four rows for a pair. Dice use
+`DiffSemiImplicitSolver`, whose training iteration is captured once and replayed.
     python tools/bench/novaphy_rigid.py --scene columns --n 1000
 """
 
@@ -85,12 +84,12 @@ def add_mixed(builder: novaphy.ModelBuilder, n: int, factor: float) -> None:
 
 
 class Dice:
-    """Dice that fall alone, and the gradient of how they land."""
+    """Dice that fall alone, and the gradient of their last twists."""
 
     dt = DIE_DT * DIE_SUBSTEPS
 
     def __init__(self, n: int, device: str) -> None:
-        """Build the model, capture an iteration."""
+        """Build the model, and capture an iteration."""
         from novaphy import diff, nova
 
         surface = novaphy.ShapeConfig(**DIE)
@@ -125,12 +124,12 @@ class Dice:
         novaphy.synchronize(self.model.device)
 
     def contacts(self) -> np.ndarray:
-        """Return no depths, because the solver finds the contacts inside of its kernel."""
+        """Return an empty array, because the solver finds the contacts inside of its kernel."""
         return np.zeros(0)
 
 
 def make(scene: str, n: int, turn: float, factor: float, device: str) -> Boxes | Dice:
-    """Make the scene of a name."""
+    """Return the scene with a name."""
     return Dice(n, device) if scene == "dice" else Boxes(scene, n, turn, factor, device)
 
 

@@ -1,15 +1,15 @@
 #!/usr/bin/env python3
-"""Time rigid bodies on a GPU, beside the CPU of the same machine. Scenes, of size N:
+"""Time NovaPhy on rigid bodies on a GPU, and on the CPU of the same machine.
 
+Scenes, of size N:
 * `dice`: N dice, each falling alone on the ground (rigid.py). An iteration: 768 substeps, a loss of
-  the last twists, the backward pass; captured once and replayed.
+  the last twists, the backward pass. The iteration is captured once and replayed.
 * `worlds`: N worlds of a plane, a stack of three boxes and a ball that hits it. A captured rollout
   that finds contacts in every substep, forward, and with its backward pass.
-* `columns`, `pile`: N boxes of one world (rigid.py), by sweep and prune: a
-  captured rollout, as many searches alone, and single steps that launch one by one.
+* `columns`, `pile`: N boxes of one world (rigid.py), by sweep and prune. A captured rollout, the
+  same number of searches alone, and single steps that are launched one by one.
 
-Prints a line of JSON for each: the medians of `repeats` runs, in seconds.
-
+Prints a JSON line for each: the medians of `repeats` runs (s).
     python tools/bench/novaphy_rigid_cuda.py --device cuda:0 --scene dice --n 4096
     python tools/bench/novaphy_rigid_cuda.py --scene columns --n 1000 10000 100000
 """
@@ -40,7 +40,7 @@ import novaphy
 from novaphy import diff, nova, solvers
 
 DT = 1.0 / 960
-FIRST = 4  # runs that are not timed
+FIRST = 4  # runs before the timed runs
 SCENES = ("dice", "worlds", "columns", "pile")
 
 
@@ -60,7 +60,7 @@ def captured(record: Callable[[], None]) -> nova.Graph:
     """Return a graph of the launches of `record`, ready for replays."""
     with nova.ScopedCapture() as capture:
         record()
-    # Without prepare(), because the fused kernel of dice does not compile.
+    # prepare() is not called, because the fused kernel of dice does not compile.
     return capture.graph
 
 
@@ -99,7 +99,7 @@ def dice(n: int, device: str, repeats: int) -> dict[str, object]:
 
 
 def checksum(values: np.ndarray) -> int:
-    """Return a number that differs if bits differ."""
+    """Return a number that differs if the bits of values differ."""
     words = values.astype(np.float32).view(np.uint32).astype(np.uint64).ravel()
     return int((words * (2 * np.arange(words.size, dtype=np.uint64) + 1)).sum() % (1 << 32))
 
@@ -199,7 +199,7 @@ def boxes(scene: str, n: int, device: str, repeats: int) -> dict[str, object]:
 
 
 def main() -> None:
-    """Run one scene, of each size."""
+    """Run one scene for each size."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

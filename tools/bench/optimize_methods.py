@@ -1,4 +1,4 @@
-"""One run of a method that lowers the loss of a task: Adam with a gradient, or a search."""
+"""Run a method that lowers the loss of a task: Adam with a gradient, or a search."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from event_tasks import start_of
 import novaphy
 from novaphy import diff, nova
 
-STEP = 1.0  # of Adam, sigmas; falls to a tenth
-PART = 0.25  # of sigma, of the samples of diff.smoothed
-SPREAD = 2.0  # of random search and of the first generation of CMA-ES, sigmas
-EVERY = 5  # iterations of Adam from one evaluated point to the next
+STEP = 1.0  # step of Adam (sigmas), which falls to a tenth
+PART = 0.25  # standard deviation (sigmas) of the samples of diff.smoothed
+SPREAD = 2.0  # spread (sigmas) of random search and of CMA-ES at the start
+EVERY = 5  # iterations of Adam between two evaluated points
 GRADIENTS = ("motion", "code")
 ORDERS: dict[str, Any] = {"smoothed 0": 0, "smoothed 1": 1, "smoothed mixed": "mixed"}
 SEARCHES = ("random search", "CMA-ES")
@@ -27,12 +27,12 @@ Slope = Callable[[np.ndarray], np.ndarray]
 
 
 def methods_of(kind: type[Task]) -> list[str]:
-    """Give the methods; the searches take the processor time of the first one."""
+    """Return the methods of a task. The searches get the processor time of the first method."""
     return [mode for mode in GRADIENTS if mode in kind.modes] + [*ORDERS, *SEARCHES]
 
 
 class Problem:
-    """A task in units of sigma around one start."""
+    """A task around one start, with parameters in units of sigma."""
 
     def __init__(self, kind: type[Task], number: int, worlds: int) -> None:
         self.kind, self.worlds = kind, worlds
@@ -43,12 +43,12 @@ class Problem:
         self.first = float(self.losses(np.zeros((1, self.size)))[0])
 
     def losses(self, moves: np.ndarray) -> np.ndarray:
-        """Give the losses {rows} of moves {rows, n} in units of sigma."""
+        """Return the losses {rows} of displacements {rows, n} in units of sigma."""
         theta = nova.tensor(np.float32(self.start + moves * self.sigma))
         return self.functions["code"](theta).numpy().astype(np.float64)
 
     def slope_of(self, mode: str) -> Slope:
-        """Give the gradient by a move."""
+        """Return a function that maps a displacement to the gradient of a mode or order."""
 
         def slope(move: np.ndarray) -> np.ndarray:
             theta = nova.tensor(
@@ -61,7 +61,7 @@ class Problem:
         return slope
 
     def smooth_slope(self, order: Any, mode: str) -> Slope:
-        """Give the gradient of the mean of samples; each call has samples of its own."""
+        """Return the gradient function of the mean loss over samples. Each call has new samples."""
         calls = iter(range(1 << 30))
 
         def slope(move: np.ndarray) -> np.ndarray:
@@ -76,7 +76,7 @@ class Problem:
 
 
 class Run:
-    """The best loss, relative to the start, over processor time (s), within a limit (s)."""
+    """The best relative loss of a run over processor time (s), within a limit of wall time (s)."""
 
     def __init__(self, first: float, limit: float) -> None:
         self.first, self.limit = first, limit
@@ -84,28 +84,28 @@ class Run:
         self.begin()
 
     def begin(self) -> None:
-        """Set the clocks to 0."""
+        """Start the clocks at 0."""
         self.began, self.before, self.outside = time.monotonic(), time.process_time(), 0.0
 
     @property
     def is_over(self) -> bool:
-        """Whether the limit is reached."""
+        """Return whether the limit is reached."""
         return time.monotonic() - self.began > self.limit
 
     @property
     def spent(self) -> float:
-        """The processor time but for the time outside of the method, s."""
+        """Return the processor time (s), without the time spent outside of the method."""
         return time.process_time() - self.before - self.outside
 
     def note(self, seconds: float, loss: float) -> None:
-        """Add a point; a loss that is not finite is none."""
+        """Add a point of the curve. A loss that is not finite does not count."""
         self.seconds.append(seconds)
         known = np.isfinite(loss)
         self.best.append(min(self.best[-1], loss / self.first) if known else self.best[-1])
 
 
 def adam(slope: Slope, size: int, iterations: int) -> Iterator[np.ndarray]:
-    """Yield the points of Adam from 0; its steps fall to a tenth along a cosine."""
+    """Yield the points of Adam from 0. The step size falls to a tenth along a cosine."""
     x, m, v = np.zeros(size), np.zeros(size), np.zeros(size)
     for k in range(iterations):
         g = slope(x)
@@ -117,7 +117,7 @@ def adam(slope: Slope, size: int, iterations: int) -> Iterator[np.ndarray]:
 
 
 def random_search(size: int, population: int, seed: int) -> Iterator[np.ndarray]:
-    """Yield points around the best one, and take their losses."""
+    """Yield points around the best point, and receive their losses."""
     rng, width, at, best = np.random.default_rng(seed), SPREAD, np.zeros(size), 0.0
     while True:
         moves = at + width * rng.normal(size=(population, size))
@@ -130,7 +130,7 @@ def random_search(size: int, population: int, seed: int) -> Iterator[np.ndarray]
 
 
 def cma_es(size: int, population: int, seed: int) -> Iterator[np.ndarray]:
-    """Yield the generations of CMA-ES, and take their losses."""
+    """Yield the generations of CMA-ES, and receive their losses."""
     search = CmaEs(size, 0.5 * SPREAD, population, seed)
     while True:
         moves = search.ask()
@@ -138,7 +138,7 @@ def cma_es(size: int, population: int, seed: int) -> Iterator[np.ndarray]:
 
 
 def run_adam(run: Run, problem: Problem, slope: Slope, iterations: int) -> None:
-    """Run Adam; the losses of its points are evaluated outside of its time."""
+    """Run Adam. The time of evaluating the losses of its points does not count."""
     slope(np.zeros(problem.size))  # compiles
     run.begin()
     for k, move in enumerate(adam(slope, problem.size, iterations), 1):
@@ -152,7 +152,7 @@ def run_adam(run: Run, problem: Problem, slope: Slope, iterations: int) -> None:
 
 
 def run_search(run: Run, problem: Problem, search: Iterator[np.ndarray], seconds: float) -> None:
-    """Run a search for a processor time."""
+    """Run a search for a given processor time (s)."""
     problem.losses(np.zeros((problem.worlds, problem.size)))  # compiles
     run.begin()
     moves = next(search)
@@ -168,9 +168,9 @@ def run_one(
     kind: type[Task], number: int, method: str, worlds: int, iterations: int, limit: float,
     seconds: float,
 ) -> dict[str, Any]:  # fmt: skip
-    """Give the line of a run. An error of the engine ends the run, and stands in its line.
+    """Return the line of a run. An error of the engine ends the run, and is written to the line.
 
-    seconds: the processor time of a search. limit: the most that any run takes (s).
+    seconds: the processor time of a search. limit: the longest wall time of any run (s).
     """
     warnings.simplefilter("ignore", RuntimeWarning)
     problem = Problem(kind, number, worlds)

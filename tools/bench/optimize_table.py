@@ -1,4 +1,4 @@
-"""The table and the picture of runs of optimize_tasks.py."""
+"""Write the table and the picture of the runs of optimize_tasks.py."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 from optimize_methods import SEARCHES
 
 Runs = list[dict[str, Any]]  # lines of optimize_methods.run_one
-LEAST = 1e-8  # relative losses below are equal: float32 carries the motion
+LEAST = 1e-8  # relative losses below this are equal, by float32 rounding
 
 
 def by_task(runs: Runs) -> dict[tuple[str, str], dict[str, Runs]]:
-    """Give the runs by task and solver, and by method."""
+    """Return the runs by (task, solver), and then by method."""
     rows: dict[tuple[str, str], dict[str, Runs]] = {}
     for run in runs:
         rows.setdefault((run["task"], run["solver"]), {}).setdefault(run["method"], []).append(run)
@@ -21,13 +21,13 @@ def by_task(runs: Runs) -> dict[tuple[str, str], dict[str, Runs]]:
 
 
 def end_of(runs: Runs) -> tuple[float, float]:
-    """Give the medians of the last loss and of the processor time of runs."""
+    """Return the medians over runs of the last loss and of the processor time (s)."""
     medians = {key: np.median([run[key][-1] for run in runs]) for key in ("best", "seconds")}
     return float(medians["best"]), float(medians["seconds"])
 
 
 def cell(runs: Runs, best: float, starts: int, iterations: int) -> str:
-    """Give the median loss and time of runs; the least loss of a row is bold."""
+    """Return the median loss and time of runs as text. The least loss of a row is bold."""
     if not runs:
         return "-"
     loss, seconds = end_of(runs)
@@ -43,7 +43,7 @@ def cell(runs: Runs, best: float, starts: int, iterations: int) -> str:
 
 
 def table(runs: Runs, methods: list[str], iterations: int) -> str:
-    """Give a row of medians per task and solver, and the errors."""
+    """Return a table with a row of medians for each task and solver, and the errors below."""
     lines = ["| Task | Solver | " + " | ".join(methods) + " |", "|---" * (len(methods) + 2) + "|"]
     for (task, solver), of in by_task(runs).items():
         starts = max(len(found) for found in of.values())
@@ -58,7 +58,7 @@ def table(runs: Runs, methods: list[str], iterations: int) -> str:
 
 
 def draw(runs: Runs, methods: list[str], path: str) -> None:
-    """Draw the median loss over processor time, a panel per task and solver (Matplotlib)."""
+    """Draw the median loss over processor time, one panel for each task and solver (Matplotlib)."""
     figure = importlib.import_module("matplotlib.figure")
     rows = by_task(runs)
     columns = min(4, len(rows))

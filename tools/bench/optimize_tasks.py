@@ -1,16 +1,15 @@
 #!/usr/bin/env python3
 """Optimize the tasks with contact events: with gradients, CMA-ES and random search.
 
-Adam takes 100 iterations with the gradient of the motion, of the code, or with diff.smoothed of
-each order. CMA-ES and random search take the processor time of Adam with the motion's gradient.
-A run ends with the best loss of its points, relative to the loss of its start. The table has the
-median of the starts.
-
+Adam runs 100 iterations with the gradient of the motion, of the code, or of diff.smoothed with each
+order. CMA-ES and random search get the processor time of Adam with the gradient of the motion. The
+result of a run is the best loss of its points relative to the loss of its start. The table has the
+median over the starts.
     python tools/bench/optimize_tasks.py --save runs.jsonl --jobs 8
     python tools/bench/optimize_tasks.py --table runs.jsonl --picture optimize-tasks.svg
 
-Each run is a process on one thread, and one line of JSON at its end. A run that has a line is not
-run again. Every task has its first start before any has its second one. Only --picture needs
+Each run is a process with one thread, and writes one JSON line at its end. A run that has a line
+does not run again. The first starts of all tasks run before the second starts. Only --picture needs
 Matplotlib.
 """
 
@@ -31,11 +30,11 @@ from event_task_scenes import Task
 from optimize_methods import GRADIENTS, ORDERS, SEARCHES, methods_of, run_one
 from optimize_table import draw, table
 
-# By the time of a gradient: long runs begin first, so that no core waits for them at the end.
+# Tasks with slow gradients. Their runs begin first, so that no core is idle at the end.
 LONG = ("ClothPenalty", "StrikePenalty", "TiltPenalty", "ClothVbdImplicit", "PushImpulse",
         "TossImpulse", "TossPenalty")  # fmt: skip
 METHODS = [*GRADIENTS, *ORDERS, *SEARCHES]
-GRACE = 60.0  # s beyond the limit of a run: to start, and to end its iteration
+GRACE = 60.0  # s beyond the limit of a run: for start-up and its last iteration
 
 
 class Job(NamedTuple):
@@ -47,17 +46,17 @@ class Job(NamedTuple):
 
     @property
     def key(self) -> tuple[str, str, int, str]:
-        """What names the run in a line."""
+        """Return the key of the run's line."""
         return (self.kind.name, self.kind.solver_name, self.start, self.method)
 
     @property
     def base(self) -> Job:
-        """The run whose processor time a search takes."""
+        """Return the run whose processor time a search gets."""
         return self._replace(method=methods_of(self.kind)[0])
 
     @property
     def rank(self) -> tuple[int, bool, int, int]:
-        """The order: starts, then runs that searches wait for, then long ones."""
+        """Return the sort key: starts first, then runs that searches need, then slow tasks."""
         name = self.kind.__name__
         long = LONG.index(name) if name in LONG else len(LONG)
         cost = ["smoothed 1", "smoothed mixed"].count(self.method)
@@ -65,7 +64,7 @@ class Job(NamedTuple):
 
 
 class Running(NamedTuple):
-    """A process of a run."""
+    """A running process."""
 
     job: Job
     process: subprocess.Popen[str]
@@ -74,12 +73,12 @@ class Running(NamedTuple):
 
 
 def key_of(line: dict[str, Any]) -> tuple[str, str, int, str]:
-    """Give what names the run of a line."""
+    """Return the key of a line."""
     return (line["task"], line["solver"], line["start"], line["method"])
 
 
 def read(path: Path, settings: dict[str, Any]) -> dict[tuple[str, str, int, str], dict[str, Any]]:
-    """Give the lines of a file by run; ValueError where they have other settings."""
+    """Return the lines of a file by run. ValueError: a line has other settings."""
     if not path.exists():
         return {}
     lines = [json.loads(line) for line in path.read_text("utf-8").splitlines() if line]
@@ -108,7 +107,7 @@ def begin(job: Job, options: argparse.Namespace, seconds: float) -> Running:
 
 
 def end(of: Running, limit: float) -> dict[str, Any] | None:
-    """Give the line of a run that has ended, or is past its limit; None while it runs."""
+    """Return the line of a run that has ended or exceeds its limit; None: it still runs."""
     late = time.monotonic() - of.began > limit + GRACE
     if of.process.poll() is None and not late:
         return None
@@ -125,7 +124,7 @@ def end(of: Running, limit: float) -> dict[str, Any] | None:
 
 
 def next_of(waiting: list[Job], lines: dict[tuple[str, str, int, str], Any]) -> Job | None:
-    """Take the first job that can run: a search needs the time of its base."""
+    """Remove and return the first job that can run. A search needs the time of its base."""
     for job in waiting:
         if job.method not in SEARCHES or job.base.key in lines:
             waiting.remove(job)
@@ -134,7 +133,7 @@ def next_of(waiting: list[Job], lines: dict[tuple[str, str, int, str], Any]) -> 
 
 
 def run_all(jobs: list[Job], options: argparse.Namespace) -> None:
-    """Run what has no line yet, and append the lines as the runs end."""
+    """Run all jobs without a line, and append the lines as the runs end."""
     settings = {"wanted": options.iterations, "worlds": options.worlds}
     lines, began = read(options.save, settings), time.monotonic()
     waiting = sorted((job for job in jobs if job.key not in lines), key=lambda job: job.rank)
@@ -165,7 +164,7 @@ def run_all(jobs: list[Job], options: argparse.Namespace) -> None:
 
 
 def jobs_of(options: argparse.Namespace) -> list[Job]:
-    """Give the runs that are asked for."""
+    """Return the jobs that the command line asks for."""
     kinds = [
         kind for kind in TASKS
         if any(part in kind.__name__.lower() for part in options.only.lower().split(","))

@@ -1,23 +1,22 @@
-"""What the programs `*_rigid.py` have in common: scenes of rigid bodies, command line, timing.
+"""Scenes of rigid bodies, command line and timing for the programs `*_rigid.py`.
 
 Scenes, of size N:
-
-* `columns`: N boxes (side 0.2 m, 8 kg) in aligned columns of ten that touch nothing else; `--turn`
-  turns every box about its vertical axis.
-* `pile`: N boxes in one pile: square layers, every second one shifted by half a box, so that every
-  box stands on up to four. Contacts connect all of them.
+* `columns`: N boxes (side 0.2 m, 8 kg) in aligned columns of ten that do not touch each other.
+  `--turn` rotates every box about its vertical axis.
+* `pile`: N boxes in one pile of square layers. Every second layer is shifted by half a box, so that
+  a box stands on up to four boxes. Contacts connect all boxes.
 * `mixed`: N shapes (spheres, capsules, cylinders, boxes, hulls, in turn) that lie on hills of 2048
   triangles.
-* `dice`: N dice, each falling alone on the ground (the die of `demo_diffsim_dice.py`). One step
-  of the measurement is a training iteration: 768 substeps, the squared norm of the last twists, the
+* `dice`: N dice, each falling alone on the ground (the die of `demo_diffsim_dice.py`). A step of
+  the measurement is a training iteration: 768 substeps, the squared norm of the last twists, the
   backward pass.
 
-`--stiffer X` multiplies the stiffness of penalty forces by X and divides the step by its root, so
-that boxes sink X times less; damping and friction keep their part of the stable range.
+`--stiffer X` multiplies the stiffness of penalty forces by X and divides the step by the square
+root of X. Boxes then overlap X times less, while damping and friction keep the same relation to
+their stability limits.
 
-A record has the time of a step (its median over the timed steps, in CPU time of the process beside
-wall time), how many contacts there are and how many of them touch, and the mean depth of those that
-touch, after the timed steps.
+A record has the median CPU and wall time of the timed steps, the number of contacts, the number of
+touching contacts, and the mean depth of touching contacts after the timed steps.
 """
 
 from __future__ import annotations
@@ -34,20 +33,20 @@ import numpy as np
 HALF, DENSITY, GRAVITY = 0.1, 1000.0, 9.81
 SURFACE = {"ke": 2.0e5, "kd": 300.0, "kf": 200.0, "mu": 0.5}
 SCENES = ("columns", "pile", "mixed", "dice")
-# The hills: squares along a side, and the length of a square (m). Contacts on hills are softer.
+# The hills: cells along a side, and the length of a cell (m). Contacts on hills are softer.
 HILLS, HILL_CELL = 32, 0.35
 MIXED_SURFACE = {"ke": 2.0e4, "kd": 60.0, "kf": 80.0, "mu": 0.5}
 MIXED_KINDS = ("sphere", "capsule", "cylinder", "box", "hull")
-# The die.
+# The contact material of the die.
 DIE = {"ke": 1.0e4, "kd": 300.0, "kf": 500.0, "mu": 0.5}
 DIE_MASS, DIE_HEIGHT, DIE_SPIN, DIE_SUBSTEPS, DIE_DT = 4.0, 0.6, (1.0, 5.0, 2.0), 768, 1.0 / 960
 
 
 def box_poses(scene: str, n: int, turn: float, factor: float = 1.0) -> np.ndarray:
-    """Positions and quaternions (x, y, z, w) of the boxes, {n, 7}.
+    """Return positions and quaternions (x, y, z, w) of the boxes {n, 7}.
 
-    Columns start where penalty forces of `--stiffer factor` bear them on four rows a face, so that
-    they rest from the first step on.
+    Columns start with the overlap at which the penalty forces of `--stiffer factor` carry them on
+    four rows for each face. They are therefore at rest from the first step on.
     """
     weight = DENSITY * (2 * HALF) ** 3 * GRAVITY
     poses = np.zeros((n, 7))
@@ -76,7 +75,7 @@ def hill_height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def hills() -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices and triangles, counter-clockwise as seen from above."""
+    """Return vertices and triangles of the hills, counter-clockwise seen from above."""
     line = (np.arange(HILLS + 1) - HILLS / 2) * HILL_CELL
     x, y = (grid.ravel() for grid in np.meshgrid(line, line))
     row = HILLS + 1
@@ -89,7 +88,7 @@ def hills() -> tuple[np.ndarray, np.ndarray]:
 
 
 def mixed_poses(n: int) -> np.ndarray:
-    """Return positions and quaternions of `mixed`, a little above the ground {n, 7}."""
+    """Return positions and quaternions {n, 7} of `mixed`, slightly above the ground."""
     side = int(np.ceil(n**0.5))
     poses = np.zeros((n, 7))
     poses[:, 6] = 1.0
@@ -115,7 +114,7 @@ def stone() -> tuple[np.ndarray, np.ndarray]:
 
 
 def stiffer(surface: dict[str, float], factor: float) -> dict[str, float]:
-    """Return the surface with the stiffness of --stiffer."""
+    """Return the material of a surface with the stiffness of --stiffer."""
     root = factor**0.5
     return surface | {
         "ke": surface["ke"] * factor,
@@ -125,7 +124,7 @@ def stiffer(surface: dict[str, float], factor: float) -> dict[str, float]:
 
 
 class Scene(Protocol):
-    """What an engine's program makes of a scene."""
+    """A scene in one engine, as the programs of the engines implement it."""
 
     dt: float
     """Simulated time of a step, s."""
@@ -134,26 +133,26 @@ class Scene(Protocol):
         """Run one step, which is finished when the call returns."""
 
     def contacts(self) -> np.ndarray:
-        """Return the depths of all contacts {count} (m); negative: the surfaces are apart."""
+        """Return the depths of all contacts {count} (m). A negative depth means a gap."""
 
 
 class PenaltyBoxes:
-    """Boxes under gravity on the ground, in Newton's interface, which NovaPhy's is too.
+    """Boxes under gravity on the ground, by the interface that Newton and NovaPhy share.
 
-    Subclasses make `model`, `solver`, `pipeline`, its contacts `found`, and two states.
+    Subclasses make `model`, `solver`, `pipeline`, the contacts `found`, and two states.
     """
 
     dt = 1.0 / 960
 
     def step(self) -> None:
-        """Find contacts, step."""
+        """Find contacts, and run one step."""
         self.now.clear_forces()
         self.pipeline.collide(self.now, self.found)
         self.solver.step(self.now, self.next, None, self.found, self.dt)
         self.now, self.next = self.next, self.now
 
     def contacts(self) -> np.ndarray:
-        """Return the depths of the present rows (m)."""
+        """Return the depths of the current contact rows (m)."""
         self.pipeline.collide(self.now, self.found)
         count = int(self.found.rigid_contact_count.numpy()[0])
         rows = {

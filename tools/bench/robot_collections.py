@@ -1,4 +1,4 @@
-"""Folders of robot files, and programs that go through them in a process of their own."""
+"""Find robot files in folders, and run worker processes that read them."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-SECONDS = 120.0  # the most time for a file
+SECONDS = 120.0  # longest time for a file (s)
 
 
 def find_files(root: Path, kind: str) -> list[tuple[str, Path]]:
-    """Return the collection and the path of each different file."""
+    """Return the collection and the path of each file with different content."""
     seen: set[str] = set()
     found = []
     for collection in sorted(p for p in root.iterdir() if p.is_dir()):
@@ -41,7 +41,7 @@ def find_files(root: Path, kind: str) -> list[tuple[str, Path]]:
 
 
 class Worker:
-    """A process of a program that reads files, which may crash or take too long."""
+    """A worker process that reads files. It may crash or take too long."""
 
     def __init__(self, script: str) -> None:
         self.script = script
@@ -68,7 +68,7 @@ class Worker:
 
 
 def read_options(description: str) -> argparse.Namespace:
-    """Read the command line of a program that runs over collections, or is its own worker."""
+    """Read the command line of a program that runs over collections, or as its worker process."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--kind", choices=("mjcf", "urdf"), default="mjcf")
@@ -92,7 +92,7 @@ def run_files(args: argparse.Namespace, runner: Worker) -> Iterator[tuple[str, P
 
 
 def finish(args: argparse.Namespace, rows: list[dict], table: Callable) -> None:
-    """Write the manifest that is asked for, and print the table."""
+    """Write the manifest if the command line asks for one, and print the table."""
     if args.manifest:
         args.manifest.write_text(json.dumps(rows, indent=1))
     table(rows, args.kind)

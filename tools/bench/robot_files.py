@@ -1,17 +1,17 @@
 #!/usr/bin/env python3
-"""Which robot files of the world load, and whether what loads is right, beside MuJoCo or Pinocchio.
-
+"""Report which robot files load, and compare the results with MuJoCo or Pinocchio.
     python tools/bench/robot_files.py FOLDER [--kind mjcf|urdf] [--manifest OUT.json]
 
-FOLDER has one folder a collection, such as an unpacked wheel of gymnasium or dm-control. Files with
-the same content count once, and so do pieces that other files include. A file is read when
-add_mjcf or add_urdf, finalize and one step give finite numbers. What NovaPhy reads with its default
-options is compared with MuJoCo at random states: masses, inertias, poses, mass matrix, inverse
-dynamics, accelerations, forces of joints and actuators, pairs of geoms that may meet. URDF files
-are compared with Pinocchio: masses, poses, mass matrix, gravity, bias, of those without mended
-parts. Errors of accelerations are divided by 1 + 0.02 times the condition of the mass matrix. Files
-are read in a process of their own, which may crash or take too long. Needs mujoco, and pin for
-URDF.
+FOLDER has one folder for each collection, for example an unpacked wheel of gymnasium or dm-control.
+Files with the same content count once. Pieces that other files include do not count. A file counts
+as read if add_mjcf or add_urdf, finalize and one step give finite values.
+
+Files that NovaPhy reads with its default options are compared with MuJoCo at random states: masses,
+inertias, poses, mass matrix, inverse dynamics, accelerations, forces of joints and actuators, and
+pairs of geoms that may touch. URDF files without repaired parts are compared with Pinocchio:
+masses, poses, mass matrix, gravity, bias. Errors of accelerations are divided by 1 + 0.02 times the
+condition number of the mass matrix. A separate process reads the files, because it may crash or
+take too long. Needs mujoco, and pin for URDF.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from robot_urdf import assembled, compare_urdf
 TOLERANCE = 1e-5
 
 
-# The functions of one worker process.
+# The functions of a worker process.
 
 
 def read_novaphy(path: str, kind: str, unsupported: str, folders: list[str]):
@@ -113,7 +113,7 @@ def compare(exact, model, robot) -> dict[str, float]:
         worst[what] = max(worst[what], float(error if np.isfinite(error) else np.inf))
 
     mass = model.body_mass.numpy()
-    # A welded body adds its inertia to the body that carries it.
+    # The inertia of a welded body is added to the body that carries it.
     weld = exact.body_weldid[1:]
     groups = np.unique(weld[weld > 0])
     sums = [[of[weld == g].sum() for g in groups] for of in (mass[rows], exact.body_mass[1:])]
@@ -173,7 +173,7 @@ def compare(exact, model, robot) -> dict[str, float]:
             return {"dofs": abs(size - model.joint_dof_count)}
         change, drift = np.zeros((size, exact.nv)), np.zeros(size)
         at = 0
-        ours = []  # our rows that MuJoCo has
+        ours = []  # NovaPhy's rows that MuJoCo also has
         for x in t:
             if x is None:
                 at += 6
@@ -207,7 +207,7 @@ def compare(exact, model, robot) -> dict[str, float]:
         if not exact.nv:
             break
         note_forces(exact, data, model, robot, state, change, np.array(q), note)
-        if exact.nmocap:  # functions of dynamics know no kinematic bodies
+        if exact.nmocap:  # MuJoCo's dynamics ignore kinematic bodies
             continue
         full = np.zeros((exact.nv, exact.nv))
         mujoco.mj_fullM(exact, data, full)
@@ -242,7 +242,7 @@ def draw_controls(exact, data, draw) -> None:
 
 
 def pairs_of_mujoco(m):
-    """Return the pairs of geoms that MuJoCo's filters allow; None: too many to list."""
+    """Return the pairs of geoms that MuJoCo's filters allow, or None for too many pairs."""
     if m.ngeom > 1500:
         return None
     import mujoco
@@ -278,7 +278,7 @@ def pairs_of_mujoco(m):
 
 
 def pairs_of(model, bodies, exact):
-    """Return NovaPhy's pairs as geoms of MuJoCo, by name or by position in their body."""
+    """Return NovaPhy's pairs as geoms of MuJoCo, matched by name or by position in their body."""
     names = {exact.geom(g).name: g for g in range(exact.ngeom) if exact.geom(g).name}
     owner = {b: k for k, b in enumerate(bodies, 1)}
     owner["world"] = 0
@@ -306,7 +306,7 @@ def worker() -> None:
 
 
 def reason(text: str) -> str:
-    """Return an error message without its names and numbers."""
+    """Return an error message without names and numbers, to group messages."""
     text = re.sub(r"^\w+: (add_\w+: )?", "", text)
     text = re.sub(r"^\S*:\d+: ", "", text)
     text = re.sub(r'name="[^"]*"|"[^"]*"|/\S+', "…", text)

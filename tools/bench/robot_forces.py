@@ -1,10 +1,10 @@
-"""Forces of springs, dampers and actuators, and accelerations, beside MuJoCo's."""
+"""Compare forces of springs, dampers and actuators, and accelerations, with MuJoCo."""
 
 from __future__ import annotations
 
 
 def note_forces(exact, data, model, robot, state, change, coordinates, note) -> None:
-    """Note the forces of springs, dampers, actuators and gravity compensation."""
+    """Compare the forces of springs, dampers, actuators and gravity compensation."""
     import numpy as np
 
     import novaphy
@@ -41,7 +41,7 @@ def note_forces(exact, data, model, robot, state, change, coordinates, note) -> 
     )
     if not on_dofs.all():
         total += (moments(model, state)[~on_dofs] * ours[~on_dofs, None]).sum(axis=0)
-    if not exact.jnt_actfrclimited.any():  # MuJoCo counts these as limits of joints
+    if not exact.jnt_actfrclimited.any():  # MuJoCo counts these limits as limits of joints
         note("actuators", [ours[row] for row in forces], list(forces.values()))
     total += lifted(model, state)
     note("forces", change.T @ total, data.qfrc_passive - data.qfrc_fluid + data.qfrc_actuator)
@@ -50,7 +50,7 @@ def note_forces(exact, data, model, robot, state, change, coordinates, note) -> 
 
 
 def dragged(exact, data, model, state, change, dt=0.125):
-    """Return the forces of the fluid on dofs: the difference of steps with and without fluid."""
+    """Return the fluid forces on dofs, as the difference of steps with and without fluid."""
     import mujoco
     import numpy as np
 
@@ -79,7 +79,7 @@ def dragged(exact, data, model, state, change, dt=0.125):
 
 
 def note_accelerations(model, state, change, drift, full, bias, draw, note) -> None:
-    """Note accelerations under random forces, relative to the error that float32 allows."""
+    """Compare accelerations under random forces, relative to the error that float32 allows."""
     import numpy as np
 
     import novaphy
@@ -92,9 +92,7 @@ def note_accelerations(model, state, change, drift, full, bias, draw, note) -> N
 
 
 def turn_between(start, end):
-    """Return the rotation vector (rad) from one quaternion to another (xyzw), at most half a
-    turn.
-    """
+    """Return the rotation vector (rad), at most pi long, from one quaternion (xyzw) to another."""
     import numpy as np
 
     v, w, a, b = end[:3], end[3], -start[:3], start[3]
@@ -105,7 +103,7 @@ def turn_between(start, end):
 
 
 def moments(model, state):
-    """Return the forces on dofs {actuators, dofs} by a force of 1 of each actuator."""
+    """Return the moment arms {actuators, dofs}: forces on dofs by a unit force of each actuator."""
     import numpy as np
 
     import novaphy
@@ -131,7 +129,7 @@ def moments(model, state):
 
 
 def lifted(model, state):
-    """Return the forces of gravity compensation on dofs: the bias of masses gravcomp * mass."""
+    """Return the gravity compensation on dofs, as the bias force of masses gravcomp * mass."""
     import novaphy
 
     mass, rates = model.body_mass.numpy(), state.joint_qd.numpy()

@@ -1,10 +1,9 @@
 #!/usr/bin/env python3
-"""How long robot files take to load, into a model, beside MuJoCo, Pinocchio and Newton.
-
+"""Time the loading of robot files into a model, in NovaPhy, MuJoCo, Pinocchio and Newton.
     python tools/bench/robot_load_times.py FOLDER [--kind mjcf|urdf] [--manifest OUT.json]
 
-FOLDER is that of robot_files.py. Every engine loads a file twice, with meshes; the shorter time
-counts. Engines that are not installed are left out.
+FOLDER is the folder of robot_files.py. Every engine loads a file twice, with meshes, and the
+shorter time counts. Engines that are not installed are left out.
 """
 
 from __future__ import annotations

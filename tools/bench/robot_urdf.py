@@ -1,4 +1,4 @@
-"""URDF robots beside Pinocchio."""
+"""Compare URDF robots with Pinocchio."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def compare_urdf(exact, model, robot) -> dict[str, float]:
         for k in range(1, exact.njoints):
             joint, name = exact.joints[k], exact.names[k]
             if joint.nv != 1 or name not in robot.joints:
-                return {}  # planar and floating joints have other velocities
+                return {}  # planar and floating joints use other velocities
             value = draw.uniform(-1, 1)
             q[robot.joint_coords[name]] = value
             full_q[joint.idx_q : joint.idx_q + joint.nq] = (
@@ -66,7 +66,7 @@ def compare_urdf(exact, model, robot) -> dict[str, float]:
 
 
 def moved(pose, inside):
-    """Return the pose of a frame of a body (xyzw)."""
+    """Return the pose of a frame that is fixed to a body (xyzw)."""
     import numpy as np
 
     v, w, p = pose[3:6], pose[6], inside[:3]

@@ -1,19 +1,18 @@
 #!/usr/bin/env python3
-"""Motions of robots that should stay still: in the air, on their feet, at the limits of drives.
+"""Measure unwanted motions of robots: in the air, on their feet, at the limits of drives.
 
-For every URDF and MJCF file below FOLDER, on the CPU, a row of a table. Meshes of colliders are
-hulls of at most 32 vertices (--triangles: as in the file).
-
+For every URDF and MJCF file below FOLDER, on the CPU, the program prints a row of a table. Meshes
+of colliders become hulls of at most 32 vertices (--triangles: as in the file).
 * rate, force: the largest |joint_qd| (rad/s, m/s) and contact force (N) within 1 s in the air, with
-  the default self-collisions, steps of 2 ms and no drives. URDF robots hang by their root, and are
-  dropped; the larger numbers count.
-* creep: the farthest that a link moves (mm) within 60 s that begin 5 s after the robot was put on
-  the ground, where drives hold its joints; thigh_joint and calf_joint stand at 0.8 and -1.5 rad.
-  What tips over or falls through within these 5 s has no number. A robot with less than two joints
-  at its root, an arm, is held by its root.
-* torque: the largest torque of a drive by its effort limit. It is that of inverse dynamics of what
-  a step of 0.5 ms did, over 1 s in which stiff drives (2000 N m/rad) pull to other angles every
-  0.1 s, in free space, without limits, friction and damping of joints.
+  the default self-collisions, steps of 2 ms and no drives. URDF robots are tested with a fixed root
+  and with a free root, and the larger values count.
+* creep: the largest displacement of a link (mm) within 60 s. The time begins 5 s after the robot
+  was put on the ground, with its joints held by drives. thigh_joint and calf_joint start at 0.8 and
+  -1.5 rad. A robot that falls within the 5 s has no value. A robot with fewer than two joints at
+  its root (an arm) has a fixed root.
+* torque: the largest torque of a drive relative to its effort limit, from inverse dynamics of the
+  motion in steps of 0.5 ms. For 1 s stiff drives (2000 N m/rad) pull to new angles every 0.1 s, in
+  free space, without limits, friction and damping of joints.
 
     python tools/bench/robots_at_rest.py robots/
     python tools/bench/robots_at_rest.py robots/ --skip creep
@@ -33,7 +32,7 @@ import numpy as np
 import novaphy
 
 DT, TORQUE_DT = 2e-3, 5e-4  # s
-HOME = {"thigh_joint": 0.8, "calf_joint": -1.5}  # rad, by the ends of names
+HOME = {"thigh_joint": 0.8, "calf_joint": -1.5}  # rad, by the last part of a joint name
 STIFF, STIFF_DAMPING = 2000.0, 20.0
 MEASURES = ("air", "creep", "torque")
 FREE = {
@@ -43,7 +42,7 @@ FREE = {
     "joint_limit_lower": -1e9,
     "joint_limit_upper": 1e9,
 }
-LARGEST = {"rate": 50.0, "torque": 1.001}  # bounds of a sound robot
+LARGEST = {"rate": 50.0, "torque": 1.001}  # upper bounds for a robot without a fault
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 TRIANGLES = "--triangles" in sys.argv
 
@@ -56,7 +55,7 @@ def find_files(folder: Path) -> list[Path]:
 
 
 class Robot:
-    """A builder with the robot of a file, at rest where its joints start."""
+    """A robot from a file, at rest in the initial pose of its joints."""
 
     def __init__(self, path: Path, folder: Path, **options: object):
         self.builder = novaphy.ModelBuilder()
@@ -105,7 +104,7 @@ class Robot:
 
 
 def overlaps_of(pipeline, state, contacts) -> int:
-    """Return the number of pairs in the warning of the first collide."""
+    """Return the number of overlapping pairs in the warning of the first collide."""
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         pipeline.collide(state, contacts)
@@ -127,7 +126,7 @@ def in_the_air(path: Path, folder: Path) -> dict[str, float]:
         overlaps = max(overlaps, overlaps_of(pipeline, robot.state, contacts))
         try:
             robot.step(solver, contacts=contacts)
-        except novaphy.Error:  # a bad file, or a free root without mass
+        except novaphy.Error:  # an invalid file, or a free root without mass
             if not floating:
                 raise
             break
@@ -281,14 +280,14 @@ def measure(path: Path, folder: Path, names: list[str]) -> dict[str, object]:
         for name in names:
             try:
                 row |= what[name](path, folder)
-            except Exception as error:  # a file that is refused
+            except Exception as error:  # an invalid file
                 row["note"] = str(error).replace("\n", " ").split(f"{path.name}:")[-1].strip()
                 break
     return row
 
 
 def in_a_process(path: Path, folder: Path, names: list[str], seconds: float) -> dict[str, object]:
-    """Measure a robot in an own process. A timeout or crash becomes a note in the row."""
+    """Measure a robot in a separate process. A timeout or crash becomes a note in the row."""
     context = multiprocessing.get_context("fork")
     here, there = context.Pipe(duplex=False)
     worker = context.Process(target=lambda: there.send(measure(path, folder, names)))

@@ -1,17 +1,16 @@
 #!/usr/bin/env python3
 """Time NovaPhy and Newton on soft bodies and cloth, in one run, and write the page of the results.
 
-Runs newton_deformable.py and novaphy_deformable.py in turn, each measurement in a process of its
-own, and writes docs/performance-deformable.md. Newton's environment is that of run_peers.py. Before
-any timing, the final positions of the first soft body must be the same bits in both engines.
+Runs newton_deformable.py and novaphy_deformable.py alternately, each measurement in a separate
+process, and writes docs/performance-deformable.md. Newton has the environment of run_peers.py.
+Before any timing, the final positions of the first soft body must have the same bits in both
+engines.
 
-Machines that are shared have phases, seconds to minutes long, in which everything is slower, and a
-measurement may fall into one. So all is measured in several turns, minutes apart, and of each
-measurement the fastest median counts.
+A shared machine is slower for seconds or minutes at a time. Everything is therefore measured in
+several rounds, minutes apart, and the fastest median of each measurement counts.
 
-Large scenes are timed over fewer substeps, and the times are those of as many as the example has.
-Newton as shipped is left out where one iteration takes minutes.
-
+Large scenes are timed over fewer substeps, and the times are scaled to the substeps of the example.
+Newton without changes is left out if an iteration takes minutes.
     .venv/bin/python tools/bench/run_deformable.py
 """
 
@@ -24,7 +23,7 @@ from pathlib import Path
 from deformable import STEPS
 from run_peers import ROOT, duration, machine, python_of, rows, run
 
-# Column -> engine, mode, threads (0: as many as there are).
+# Column -> engine, mode, threads (0: all threads of the machine).
 COLUMNS = {
     "Newton, shipped": ("newton", "captured", 0),
     "Newton, lean": ("newton", "captured-lean", 0),
@@ -47,11 +46,11 @@ SIZES = {
         128: (96, ("Newton, shipped", "Newton, bare")),
     },
 }
-# How often each is measured; Newton as shipped once, because it takes minutes.
+# Rounds of each measurement. Newton without changes has one round, because it takes minutes.
 TURNS = 4
-# The cost of elements: cells per side, substeps.
+# For the time per element: cells per side -> substeps.
 GROWTH = {6: 96, 13: 48, 28: 24, 59: 12}
-# The memory of elements: cells per side; a short rollout and a long one.
+# For the memory per element: cells per side -> substeps of a short rollout and of a long one.
 MEMORY = {8: (96, 1920), 16: (48, 960), 28: (24, 240)}
 
 
@@ -94,7 +93,7 @@ def fastest() -> dict[Job, Record]:
 
 
 def check_bits() -> str:
-    """Return the hash of the final positions of the example. All runs must agree."""
+    """Return the hash of the final positions of the example, which is the same in all runs."""
     columns = ("Newton, shipped", "NovaPhy")
     steps = STEPS["soft_body"]
     hashes = {c: str(measure(c, "soft_body", 2, steps)["result_hash"]) for c in columns}
@@ -104,7 +103,7 @@ def check_bits() -> str:
 
 
 def table(best: dict[Job, Record], scene: str) -> str:
-    """Return the table of times per iteration of a scene, with NovaPhy's speedup."""
+    """Return the table of times per iteration of a scene, with the speedup of NovaPhy."""
     body, ratios = [], []
     for n, (steps, left_out) in SIZES[scene].items():
         records = {c: best[c, scene, n, steps] for c in COLUMNS if c not in left_out}
@@ -130,7 +129,7 @@ def table(best: dict[Job, Record], scene: str) -> str:
 
 
 def growth(best: dict[Job, Record]) -> str:
-    """Time per tetrahedron and substep."""
+    """Return the table of the time per tetrahedron and substep."""
     body = []
     for n, steps in GROWTH.items():
         record = best["NovaPhy", "soft_body", n, steps]
@@ -140,7 +139,7 @@ def growth(best: dict[Job, Record]) -> str:
 
 
 def memory() -> str:
-    """Return the bytes of a substep as text, from the resident memory of longer rollouts."""
+    """Return the table of bytes per substep, from the resident memory of two rollouts."""
     body = []
     for n, lengths in MEMORY.items():
         short, long = (measure("NovaPhy", "soft_body", n, steps) for steps in lengths)

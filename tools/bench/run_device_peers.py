@@ -1,11 +1,10 @@
 #!/usr/bin/env python3
-"""Time one large world beside the peers on a machine with a GPU, and write the page of the results.
+"""Time one large world in NovaPhy and peers on a machine with a GPU, and write the results.
 
-Runs novaphy_rigid_cuda.py and newton_rigid_cuda.py over columns of boxes, and large_worlds.py on
-one thread of the CPU. Each measurement is a process of its own and ends after `--limit` seconds.
-Newton compiles its kernels first, in a process without a limit. The environments of the peers are
-made as run_peers.py does. Writes docs/performance-device.md and its picture.
-
+Runs novaphy_rigid_cuda.py and newton_rigid_cuda.py on columns of boxes, and large_worlds.py on one
+thread of the CPU. Each measurement is a separate process, and ends after `--limit` seconds. Newton
+compiles its kernels first, in a process without a limit. The peers have the environments of
+run_peers.py. Writes docs/performance-device.md and its picture.
     .venv/bin/python tools/bench/run_device_peers.py
     .venv/bin/python tools/bench/run_device_peers.py --here --n 1000 --output /tmp/page.md
 """
@@ -27,7 +26,7 @@ SIZES = [100, 1000, 10_000, 100_000]
 PEERS = {"Newton, sap": "sap", "Newton, nxn": "nxn"}
 NOVAPHY = "NovaPhy"
 COLORS = {NOVAPHY: "#1f77b4", "Newton, sap": "#d62728", "Newton, nxn": "#ff9896"}
-# Row -> its arguments of large_worlds.py, and the number.
+# Row of the table -> arguments of large_worlds.py, and the key of the value.
 CPU = {
     "8 × 8 × 8 cubes, a step with its search": (["--scene", "cubes", "--n", 8], "step_s"),
     "8 × 8 × 8 cubes, a search over all gaps": (["--scene", "cubes", "--n", 8], "search_s"),
@@ -39,7 +38,7 @@ Record = dict[str, object]
 
 
 def run(python: Path | str, script: str, arguments: list[object], limit: float | None) -> Record:
-    """Return the record of a program's last line. `failed` has the reason if there is none."""
+    """Return the record in a program's last line. `failed` has the reason if there is no record."""
     command = [str(python), str(BENCH / script), *map(str, arguments)]
     threads = 1 if script == "large_worlds.py" else 0
     try:
@@ -72,7 +71,7 @@ def measure(n: int, limit: float) -> dict[str, Record]:
 
 
 def picture(results: dict[int, dict[str, Record]], key: str) -> str:
-    """Return an SVG of times over sizes, both logarithmic."""
+    """Return an SVG of times over sizes, with logarithmic axes."""
     width, height, left, low = 640, 400, 70, 350
     times = [float(r[key]) for of in results.values() for r in of.values() if key in r]
     if not times:

@@ -1,17 +1,17 @@
 #!/usr/bin/env python3
 """Time NovaPhy and its peers on the same scene, in one run, and write docs/performance.md.
 
-Makes a virtual environment per peer under build/ (from the package index, once), then runs the
-programs beside this file in turn, each measurement in a process of its own. Before any timing, the
-loss of the first iteration of one ball must be the same bits in Newton and in all modes of NovaPhy,
-and within 1e-5 of them in JAX and Dr.Jit. Adds the copy bandwidth of the machine, the operations
-of the rollout, the instructions of an iteration (where valgrind is installed), the start-up time of
-a fresh process and the memory of a rollout.
+Makes a virtual environment for each peer under build/ (from the package index, once). Then runs the
+programs of this folder in turn, each measurement in a separate process. Before any timing, the loss
+of the first iteration of one ball must have the same bits in Newton and in all modes of NovaPhy. In
+JAX and Dr.Jit it must be the same within 1e-5. Also measures the copy bandwidth of the machine, the
+operations of the rollout, the instructions of an iteration (if valgrind is installed), the start-up
+time of a fresh process, and the memory of a rollout.
 
-A measurement that needs more memory than is free is left out, and the table says so; `--slow` does
-the same for those that would take longer than so many seconds per iteration.
+A measurement that needs more memory than is free is left out, and the table says so. With `--slow`
+the same holds for measurements that would take longer than this many seconds for an iteration.
 
-Run it with the Python that has NovaPhy installed, on a machine that does nothing else:
+Run it with the Python that has NovaPhy installed, on a machine without other load:
 
     .venv/bin/python tools/bench/run_peers.py
     .venv/bin/python tools/bench/run_peers.py --n 1 1000 --rounds 1 --output /tmp/performance.md
@@ -45,9 +45,9 @@ REQUIREMENTS = {
 }
 SUBSTEPS = 288
 SAME_BITS = ("newton", "novaphy")
-RELATIVE = 1.0e-5  # how far the loss of the first iteration may be off in the others
+RELATIVE = 1.0e-5  # allowed relative difference of the first loss in other engines
 
-# Column -> engine, mode, threads (0: as many as there are).
+# Column -> engine, mode, threads (0: all threads of the machine).
 COLUMNS = {
     "Newton, eager": ("newton", "eager", 0),
     "Newton, captured": ("newton", "captured", 0),
@@ -63,7 +63,7 @@ COLUMNS = {
     "NovaPhy, leaves, 1 thread": ("novaphy", "leaves", 1),
 }
 BEST = "NovaPhy, leaves"
-# Ratio -> slower column, faster column.
+# Ratio of the table -> slower column, faster column.
 RATIOS = {
     "step against Newton, eager": ("Newton, eager", "NovaPhy, step"),
     "captured against Newton, captured": ("Newton, captured", "NovaPhy, captured"),
@@ -75,17 +75,17 @@ RATIOS = {
     "leaves against Dr.Jit, lean": ("Dr.Jit, lean", BEST),
     "leaves against Dr.Jit, lean, frozen": ("Dr.Jit, lean, frozen", BEST),
 }
-# Bytes per particle and substep that a measurement needs, where its program does not tell: states
-# of positions, velocities and forces, and as much for their gradients.
+# Bytes for each particle and substep that a measurement needs, unless its program reports them:
+# states of positions, velocities and forces, and their gradients.
 NEEDED_BYTES = {"newton": 72, "step": 88, "rollout": 49, "captured": 49, "leaves": 25}
-# Bytes per particle and substep that a rollout and its backward pass must move: positions and
-# velocities are 24, written by the substep and read by its adjoint.
+# Bytes for each particle and substep that a rollout and its backward pass must move. Positions and
+# velocities are 24 bytes. A substep writes them, and its adjoint reads them.
 MOVED_BYTES = 48
 COPY_BYTES = 256 << 20
 
 
 def python_of(engine: str) -> Path | str:
-    """Return an engine's Python. The virtual environment of a peer is made once."""
+    """Return the Python of an engine. Make the virtual environment of a peer if it is missing."""
     if engine not in REQUIREMENTS:
         return sys.executable
     venv, wanted = VENVS / engine, f"{sys.version} {REQUIREMENTS[engine]}"
@@ -100,11 +100,11 @@ def python_of(engine: str) -> Path | str:
 
 
 def environment(threads: int = 0) -> dict[str, str]:
-    """Return this process's environment without settings of NovaPhy, except the plugin's path."""
+    """Return this process's environment without variables of NovaPhy, except the plugin path."""
     env = {k: v for k, v in os.environ.items() if not k.startswith(("NOVAPHY_", "NOVA_"))}
     if (
         "NOVAPHY_BACKEND_PATH" in os.environ
-    ):  # set for a build tree; an installed package needs none
+    ):  # set for a build tree; not needed for an installed package
         env["NOVAPHY_BACKEND_PATH"] = os.environ["NOVAPHY_BACKEND_PATH"]
     if threads:
         env["NOVAPHY_NUM_THREADS"] = str(threads)
@@ -112,7 +112,7 @@ def environment(threads: int = 0) -> dict[str, str]:
 
 
 def run(python: Path | str, script: str, *arguments: object, threads: int = 0) -> dict[str, object]:
-    """Run a benchmark program; the record of its last line."""
+    """Run a benchmark program. Return the record in its last line."""
     command = [str(python), str(BENCH / script), *map(str, arguments)]
     done = subprocess.run(
         command, env=environment(threads), stdout=subprocess.PIPE, text=True, check=True
@@ -131,7 +131,7 @@ def free_memory() -> int:
 
 
 def measure(column: str, n: int, iterations: int) -> dict[str, object]:
-    """Run one measurement of a column of the table. `skipped` has the reason if there is none."""
+    """Run a measurement of a column. Return its record, with `skipped` if it did not run."""
     engine, mode, threads = COLUMNS[column]
     needed = NEEDED_BYTES.get(engine, NEEDED_BYTES.get(mode, 0)) * n * SUBSTEPS
     if needed > free_memory():
@@ -141,7 +141,7 @@ def measure(column: str, n: int, iterations: int) -> dict[str, object]:
 
 
 def check_losses() -> tuple[float, dict[str, str]]:
-    """Return the first loss of one ball, on which all engines must agree, and the versions."""
+    """Return the first loss of one ball, which must agree in all engines, and their versions."""
     records = {column: measure(column, 1, 1) for column in COLUMNS}
     losses = {c: float(r["loss"]) for c, r in records.items() if "skipped" not in r}
     exact = {loss for c, loss in losses.items() if COLUMNS[c][0] in SAME_BITS}
@@ -153,7 +153,7 @@ def check_losses() -> tuple[float, dict[str, str]]:
 
 
 def check_hashes(records: list[dict[str, object]]) -> bool:
-    """Return whether Newton's final positions and gradient are NovaPhy's in all modes."""
+    """Return whether final positions and gradients of Newton and all modes of NovaPhy are equal."""
     ran = [r for r in records if "result_hash" in r]
     hashes = {e: {r["result_hash"] for r in ran if r["engine"] == e} for e in SAME_BITS}
     if len(hashes["novaphy"]) > 1:
@@ -162,19 +162,19 @@ def check_hashes(records: list[dict[str, object]]) -> bool:
 
 
 def iterations_for(n: int) -> int:
-    """Return the number of timed iterations per measurement."""
+    """Return the number of timed iterations in a measurement."""
     return 30 if n <= 1000 else 5
 
 
 class Results:
-    """What was measured, by number of balls and column."""
+    """The results of all measurements, by number of balls and column."""
 
     def __init__(self, sizes: list[int], rounds: int, slow: float) -> None:
         """Run the measurements of all engines, in alternating order."""
-        self.seconds: dict[int, dict[str, float]] = {}  # medians
-        self.first: dict[int, dict[str, float]] = {}  # until the first iteration is done
+        self.seconds: dict[int, dict[str, float]] = {}  # median times (s)
+        self.first: dict[int, dict[str, float]] = {}  # times until the first iteration is done (s)
         self.skipped: dict[int, dict[str, str]] = {}
-        self.same: list[int] = []  # for which Newton and NovaPhy have the same bits
+        self.same: list[int] = []  # sizes with equal bits in Newton and NovaPhy
         before = 0
         for n in sorted(sizes):
             records: dict[str, list[dict[str, object]]] = {column: [] for column in COLUMNS}
@@ -198,7 +198,7 @@ class Results:
 
     @staticmethod
     def medians(records: dict[str, list[dict[str, object]]], key: str) -> dict[str, float]:
-        """Return the medians of a number over the rounds, by column."""
+        """Return the medians of a value over the rounds, by column."""
         return {c: statistics.median(float(r[key]) for r in rs) for c, rs in records.items() if rs}
 
     def cell(self, n: int, column: str) -> str:
@@ -214,13 +214,13 @@ class Results:
 
 
 def copy_bandwidth(threads: int) -> float:
-    """Return the bytes per second of a copy larger than the caches, the best of 5."""
+    """Return the bytes per second of a copy that is larger than the caches, the best of 5."""
     source = np.ones(COPY_BYTES, np.uint8)
     target = np.empty_like(source)
     parts = list(zip(np.array_split(target, threads), np.array_split(source, threads)))
     best = float("inf")
     with ThreadPoolExecutor(threads) as pool:
-        for _ in range(6):  # the first one touches the pages
+        for _ in range(6):  # the first round touches the pages
             start = time.perf_counter()
             list(pool.map(lambda part: np.copyto(*part), parts))
             best = min(best, time.perf_counter() - start)
@@ -228,11 +228,11 @@ def copy_bandwidth(threads: int) -> float:
 
 
 def instructions(mode: str) -> str:
-    """Return the instructions per iteration of one ball by callgrind, or why there are none."""
+    """Return the instructions of an iteration of one ball by callgrind, or the reason for none."""
     valgrind = shutil.which("valgrind")
     if valgrind is None:
         return "not counted: valgrind is not installed"
-    # Threads of NumPy's that wait would be counted too.
+    # callgrind would also count waiting threads of NumPy.
     env = environment(threads=1) | {"NOVAPHY_CPU_ISA": "avx2", "OPENBLAS_NUM_THREADS": "1"}
     counts = {}
     few, many = 10, 410
@@ -278,7 +278,7 @@ def rows(header: list[str], body: list[list[str]]) -> str:
 
 
 def bandwidth_rows(results: Results, operations: float) -> list[list[str]]:
-    """Return rows with bytes and operations per second of the rollout."""
+    """Return rows with the bytes and operations per second of the rollout."""
     body = []
     for n, seconds in results.seconds.items():
         if BEST in seconds:
@@ -289,7 +289,7 @@ def bandwidth_rows(results: Results, operations: float) -> list[list[str]]:
 
 
 def memory_of(record: dict[str, object]) -> tuple[float, float, float]:
-    """Return the bytes per particle and substep: states; tape and gradients; both."""
+    """Return the bytes for each particle and substep: states; tape and gradients; both together."""
     states, tape = float(record["states_bytes"]), float(record["tape_bytes"])
     return states, tape, states + tape
 

@@ -1,10 +1,9 @@
 #!/usr/bin/env python3
 """Time NovaPhy, Newton and MuJoCo on rigid bodies, in one run, and write the page of the results.
 
-Runs novaphy_rigid.py, newton_rigid.py and mujoco_rigid.py, each measurement in a process of its own
-on one thread, and writes docs/performance-rigid.md. Of each measurement the turn with the least
-time counts. The environments of the peers are made as run_peers.py does.
-
+Runs novaphy_rigid.py, newton_rigid.py and mujoco_rigid.py, each measurement in a separate process
+on one thread, and writes docs/performance-rigid.md. The round with the least time of each
+measurement counts. The peers have the environments of run_peers.py.
     .venv/bin/python tools/bench/run_rigid.py
     .venv/bin/python tools/bench/run_rigid.py --here  # peers are installed in this Python
 """
@@ -23,7 +22,7 @@ run_peers.REQUIREMENTS["mujoco"] = ("mujoco==4.0.0", "numpy")
 ENGINES = {"NovaPhy": "novaphy", "Newton": "newton", "MuJoCo": "mujoco"}
 TURNS = 2
 SETTLED = ["--warm", 100, "--steps", 100]
-# Scene -> its arguments.
+# Scene -> arguments of the programs.
 FORWARD = {
     "100 boxes in 10 columns": ["--scene", "columns", "--n", 100, *SETTLED],
     "1,000 boxes in 100 columns": ["--scene", "columns", "--n", 1000, *SETTLED],
@@ -37,14 +36,14 @@ DICE = {
 }
 MIXED = ["--scene", "mixed", "--n", 484, "--warm", 250, "--steps", 60]
 GROWTH = (10, 100, 1000, 10_000, 16_000)
-# Scenes in which NovaPhy's boxes are made to sink as deep as MuJoCo's, too.
+# Scenes that also have a row in which NovaPhy's boxes overlap as little as MuJoCo's.
 EQUAL_DEPTH = ("1,000 boxes in 100 columns",)
 
 Record = dict[str, object]
 
 
 def race(engines: list[str], arguments: list[object], turns: int = TURNS) -> dict[str, Record]:
-    """Run engines in alternating turns. Return the record of each with the least time."""
+    """Run engines in alternating rounds. Return the record of each with the least time."""
     records: dict[str, list[Record]] = {engine: [] for engine in engines}
     for _ in range(turns):
         for engine in engines:
@@ -57,7 +56,7 @@ def race(engines: list[str], arguments: list[object], turns: int = TURNS) -> dic
 
 
 def best(engine: str, arguments: list[object], turns: int = TURNS) -> Record:
-    """Run several turns. Return the record with the least time."""
+    """Run several rounds of an engine. Return the record with the least time."""
     return race([engine], arguments, turns)[engine]
 
 
@@ -92,7 +91,7 @@ def forward() -> str:
 
 
 def mixed() -> str:
-    """Return the table of shapes of all kinds on a mesh."""
+    """Return the table of shapes of all kinds on a mesh, in NovaPhy and Newton."""
     records = race(["novaphy", "newton"], MIXED)
     body = [cells("", name, records[ENGINES[name]])[1:] for name in ("NovaPhy", "Newton")]
     head = ["engine", "steps/s", "simulated s per s", "contacts", "touching", "mean depth"]
@@ -113,7 +112,7 @@ def dice() -> str:
 
 
 def growth() -> str:
-    """Time of a step over the number of contacts."""
+    """Return the table of the time of a step over the number of contacts."""
     body = []
     for n in GROWTH:
         record = best("novaphy", ["--scene", "columns", "--n", n, "--steps", 50])

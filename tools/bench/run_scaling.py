@@ -1,14 +1,13 @@
 #!/usr/bin/env python3
 """Run scaling.py on 1, 2, 4 and 8 GPUs of a host: bits, weak and strong scaling, sum, restart.
-
     python tools/bench/run_scaling.py --gpus 1 2 4 8
     python tools/bench/run_scaling.py --gpus --ranks 1 2 4 --small --output /tmp/scaling
 
-Each row is a run of torchrun with one process a GPU, or a run of one process with a thread a GPU.
-`--ranks` adds runs on the CPU. All rows append lines of JSON to OUTPUT/lines.jsonl. A row that is
-there is not run again, and a row that failed is. Then OUTPUT/page.md and OUTPUT/scaling.png are
-written. The result is 1 where hashes differ or a check fails. `--small` takes few worlds, to try
-the program.
+A row is a run of torchrun with one process for each GPU, or a run of one process with one thread
+for each GPU. `--ranks` adds runs on the CPU. The rows append JSON lines to OUTPUT/lines.jsonl. A
+row in this file does not run again, but a row that failed does. At the end the program writes
+OUTPUT/page.md and OUTPUT/scaling.png. The exit code is 1 if hashes differ or a check fails.
+`--small` uses few worlds, to try the program.
 """
 
 from __future__ import annotations
@@ -27,9 +26,9 @@ from pathlib import Path
 from run_peers import BENCH, ROOT, environment, rows
 
 DEMO = ROOT / "python" / "demos" / "diff" / "demo_distributed.py"
-# Scene -> options of scaling.py. Sixty steps of boxes would take ten times what the others take.
+# Scene -> options of scaling.py. Boxes have fewer steps, because sixty would take ten times longer.
 SCENES = {"ants": [], "cloth": [], "boxes": ["--steps", 20]}
-LIMIT = 400.0  # s, for a row
+LIMIT = 400.0  # time limit of a row (s)
 LINE = re.compile(r"\{.*\}$")
 TORCHRUN = "torchrun --standalone"
 
@@ -37,7 +36,7 @@ Line = dict[str, object]
 
 
 class Runs:
-    """The lines of all rows, kept in a file."""
+    """The JSON lines of all rows, which are stored in a file."""
 
     def __init__(self, folder: Path, launcher: str) -> None:
         self.launcher = launcher.split()
@@ -47,7 +46,7 @@ class Runs:
         self.lines: list[Line] = [json.loads(line) for line in text.splitlines()]
 
     def add(self, row: str, where: str, count: int, lines: list[Line]) -> None:
-        """Keeps the lines of a row on `count` ranks or threads; the file gets those of success."""
+        """Add the lines of a row on `count` ranks or threads. The file gets successful lines."""
         with self.file.open("a") as file:
             for line in lines:
                 self.lines.append({"row": row, "where": where, "count": count, **line})
@@ -55,7 +54,7 @@ class Runs:
                     print(json.dumps(self.lines[-1]), file=file)
 
     def of(self, row: str, **wanted: object) -> list[Line]:
-        """The lines of a row with some values."""
+        """Return the lines of a row that have the given values."""
         return [
             line
             for line in self.lines
@@ -65,7 +64,7 @@ class Runs:
     def run(
         self, row: str, where: str, count: int, options: list[object], scene: str | None = None
     ) -> None:
-        """Runs scaling.py, unless the file has the row."""
+        """Run scaling.py for a row, unless the file has the row."""
         own = {"scene": scene} if scene else {}
         if self.of(row, where=where, count=count, **own):
             return
@@ -86,7 +85,7 @@ class Runs:
         print(f"{row} {scene or ''} {count} {where}: {time.monotonic() - begin:.0f} s", flush=True)
 
     def command(self, where: str, count: int, options: list[object]) -> list[str]:
-        """The command of a row: one process a rank, or a thread a GPU."""
+        """Return the command of a row: one process for each rank, or one thread for each GPU."""
         if where == "threads":
             devices: list[object] = ["--device", *(f"cuda:{k}" for k in range(count))]
             start: list[object] = [sys.executable]
@@ -97,28 +96,28 @@ class Runs:
 
 
 def threads_of(where: str, count: int) -> int:
-    """Ranks on the CPU share its cores; 0: as many threads as there are."""
+    """Return the threads of a rank: CPU ranks share the cores; 0: all threads of the machine."""
     return max(1, len(os.sched_getaffinity(0)) // count) if where == "CPU" else 0
 
 
 def scene_options(scene: str | None) -> list[object]:
-    """The options of scaling.py for a scene."""
+    """Return the options of scaling.py for a scene."""
     return ["--scene", scene, *SCENES[scene]] if scene else []
 
 
 def worlds_of(args: argparse.Namespace) -> tuple[int, int, int]:
-    """Worlds a GPU of weak scaling, of all GPUs, and of a block."""
+    """Return the worlds per GPU of weak scaling, of all GPUs of strong scaling, and of a block."""
     return (8, 32, 4) if args.small else (16_384, 65_536, 4_096)
 
 
 def measure(args: argparse.Namespace, runs: Runs) -> None:
-    """Runs all rows of scaling.py."""
+    """Run all rows of scaling.py."""
     weak, strong, block = worlds_of(args)
     places = [("GPU", n) for n in args.gpus] + [("threads", n) for n in args.gpus if n > 1]
     places += [("CPU", n) for n in args.ranks if args.small]
     most = max(args.gpus, default=0)
     common = ["--repeats", args.repeats, "--block", block]
-    # The CPU takes fewer worlds, on the ranks of the CPU and on the most GPUs.
+    # CPU runs have fewer worlds. The same worlds also run on the most GPUs.
     few = ["--repeats", 0, "--iterations", 10, "--worlds", args.few,
            "--block", args.few // max(8, most)]  # fmt: skip
     for scene in args.scenes:
@@ -135,7 +134,7 @@ def measure(args: argparse.Namespace, runs: Runs) -> None:
 
 
 def ranks_of(where: str, count: int, options: list[object]) -> list[subprocess.Popen]:
-    """Starts the ranks of the demo by hand, so that one of them can be killed."""
+    """Start the ranks of the demo directly, so that a rank can be killed."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -157,12 +156,12 @@ def ranks_of(where: str, count: int, options: list[object]) -> list[subprocess.P
 
 
 def last_lines(processes: list[subprocess.Popen]) -> list[str]:
-    """The last line of each process, after its end."""
+    """Wait for each process, and return its last line."""
     return [(p.communicate(timeout=LIMIT)[0].strip().splitlines() or [""])[-1] for p in processes]
 
 
 def restart(runs: Runs, folder: Path, where: str, count: int) -> None:
-    """Kills a rank, and goes on from a checkpoint with half of the ranks."""
+    """Kill a rank, and restart from a checkpoint with half of the ranks."""
     if count < 2 or runs.of("restart", where=where, count=count):
         return
     options: list[object] = ["--worlds", 1024 * count, "--block", 256]
@@ -189,7 +188,7 @@ def restart(runs: Runs, folder: Path, where: str, count: int) -> None:
 
 
 def faults_of(runs: Runs) -> list[str]:
-    """What failed, the groups of runs whose hashes should be equal and are not, and restarts."""
+    """Return messages for failed rows, for runs with different hashes, and for failed restarts."""
     faults = [f"{r['row']} {r.get('scene', '')} {r['count']} {r['where']}: {r['failed']}"
               for r in runs.lines if "failed" in r]  # fmt: skip
     groups: dict[tuple, set] = {}
@@ -205,13 +204,13 @@ def faults_of(runs: Runs) -> list[str]:
 
 
 def timed(runs: Runs, row: str) -> list[Line]:
-    """The lines of a row that have times."""
+    """Return the lines of a row that have times."""
     found = [line for line in runs.of(row) if "iteration_s" in line]
     return sorted(found, key=lambda r: (r["scene"], r["where"], r["count"]))
 
 
 def scaling_rows(runs: Runs, row: str) -> list[list[str]]:
-    """The cells of weak or strong scaling; threads are compared with one process."""
+    """Return the table cells of weak or strong scaling. Threads are compared with one process."""
     cells = []
     for line in timed(runs, row):
         where = "GPU" if line["where"] == "threads" else line["where"]
@@ -229,7 +228,7 @@ def scaling_rows(runs: Runs, row: str) -> list[list[str]]:
 
 
 def page(runs: Runs, faults: list[str]) -> str:
-    """The tables of all rows."""
+    """Return the text of the page with the tables of all rows."""
     head = ["scene", "by", "ranks", "worlds", "forward (s)", "iteration (s)",
             "forward, part of one", "iteration, part of one", "idle"]  # fmt: skip
     sums = [[r["where"], str(r["ranks"]), f"{r['parameters']:.0e}", f"{1e3 * r['reduction_s']:.2f}"]
@@ -249,7 +248,7 @@ def page(runs: Runs, faults: list[str]) -> str:
 
 
 def picture(runs: Runs, path: Path) -> None:
-    """Weak and strong scaling over GPUs."""
+    """Draw weak and strong scaling over the number of GPUs."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -270,7 +269,7 @@ def picture(runs: Runs, path: Path) -> None:
 
 
 def main() -> int:
-    """Run what is not in the file yet, and write the page."""
+    """Run the rows that the file does not have, and write the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--gpus", type=int, nargs="*", default=[1, 2], help="counts of GPUs")
     parser.add_argument("--ranks", type=int, nargs="*", default=[4], help="counts of CPU ranks")

@@ -1,16 +1,15 @@
 #!/usr/bin/env python3
-"""Worlds on many ranks: the bits of a training run, and the time of an iteration. Lines of JSON.
-
+"""Train worlds on many ranks, and print hashes of the results and times as lines of JSON.
     python tools/bench/scaling.py --scene ants --worlds 512 --block 64
     torchrun --standalone --nproc-per-node=4 tools/bench/scaling.py --scene cloth --device cuda
     mpiexec -n 2 python tools/bench/scaling.py --scene boxes
     python tools/bench/scaling.py --scene boxes --ray 2
     python tools/bench/scaling.py --scene boxes --device cpu cuda:0   # by threads of one process
 
---device cuda gives each process of a host its own GPU. --reduction times the sum of gradients
-alone. `idle` is the part of a forward pass for which the mean rank waits for the slowest one. A
-line has the SHA-256 of the losses and gradients, and that of the parameters and of the
-optimizer: both depend on --steps, --worlds, --block and --iterations only.
+With --device cuda each process of a host has a separate GPU. --reduction times only the sum of
+gradients. `idle` is the part of a forward pass for which the mean rank waits for the slowest rank.
+A line has the SHA-256 of the losses and gradients, and the SHA-256 of the parameters and the
+optimizer. Both depend only on --steps, --worlds, --block and --iterations.
 """
 
 from __future__ import annotations
@@ -56,7 +55,7 @@ def cloth() -> novaphy.ModelBuilder:
 
 
 def ants(first_world: int, worlds: int, device: str) -> novaphy.Model:
-    """Return Ants that hang in the air just above the ground."""
+    """Return a model of Ants that hang in the air just above the ground."""
     from novaphy.envs._ant import ANTS, build_ants
 
     del first_world
@@ -65,14 +64,14 @@ def ants(first_world: int, worlds: int, device: str) -> novaphy.Model:
 
 @dataclass
 class Kind:
-    """How a scene is made and run: the rates of its start are a rule of random features."""
+    """How a scene is made and run. A linear map of random features gives the initial rates."""
 
     scene: Callable[[], object]
     steps: int
     dt: float
 
     def run(self, block: dist.Block, params: dict[str, nova.Tensor]) -> nova.Tensor:
-        """Return losses {worlds}: the squared distance of the end from the mean start."""
+        """Return losses {worlds}: the squared norm of the last positions (of joints, ...)."""
         model, kept = block.model, block.kept
         if not kept:
             kept["path"], kept["solver"] = diff.Trajectory(model, self.steps), solver_of(model)
@@ -98,9 +97,9 @@ KINDS = {
 
 
 def solver_of(model: novaphy.Model) -> solvers.DiffSolverBase:
-    """Return the differentiable solver of a scene."""
+    """Return the differentiable solver for a model."""
     if model.joint_dof_count:
-        # The contacts of a few of thousands of random starts do not converge.
+        # Some contacts of thousands of random starts do not converge.
         return solvers.DiffFeatherstoneSolver(
             model, pgs_slop=0.0, pgs_erp=1.0, allow_unconverged=True
         )
@@ -110,7 +109,7 @@ def solver_of(model: novaphy.Model) -> solvers.DiffSolverBase:
 
 
 def ends_of(model: novaphy.Model, path: diff.Trajectory) -> tuple[nova.Tensor, nova.Tensor]:
-    """Return the rates at the start, and the end that the loss reads."""
+    """Return the initial rates, and the part of the last state that the loss reads."""
     first, last = path[0], path[path.steps]
     if model.joint_dof_count:
         return diff.state_joint_qd_tensor(first), diff.state_joint_q_tensor(last)
@@ -120,7 +119,7 @@ def ends_of(model: novaphy.Model, path: diff.Trajectory) -> tuple[nova.Tensor, n
 
 
 def median_of(function, repeats: int) -> float:
-    """Return the median time (s) of some calls."""
+    """Return the median time of a function's calls (s)."""
     times = []
     for _ in range(repeats):
         begin = time.perf_counter()
@@ -137,7 +136,7 @@ def devices_of(args: argparse.Namespace, group: dist.Group) -> list[str]:
 
 
 def measure(args: argparse.Namespace, group: dist.Group) -> dict[str, object]:
-    """Train some iterations, then time passes that all begin with these parameters."""
+    """Train some iterations, then time passes that all begin with the same parameters."""
     kind = KINDS[args.scene]
     if args.steps:
         kind = replace(kind, steps=args.steps)
@@ -195,7 +194,7 @@ def measure(args: argparse.Namespace, group: dist.Group) -> dict[str, object]:
 
 
 def reductions(args: argparse.Namespace, group: dist.Group) -> list[dict[str, object]]:
-    """Time the sum over ranks alone, for 1e3 to 1e7 parameters."""
+    """Time only the sum over ranks, for 1e3 to 1e7 parameters. Return the lines."""
     lines: list[dict[str, object]] = []
     empty = novaphy.ModelBuilder()
     empty.add_particle((0, 0, 0), (0, 0, 0), 1.0)
@@ -208,7 +207,7 @@ def reductions(args: argparse.Namespace, group: dist.Group) -> list[dict[str, ob
 
 
 def lines_of(args: argparse.Namespace) -> list[dict[str, object]]:
-    """Return the measurements of one rank."""
+    """Return the lines of one rank."""
     group = dist.init()
     lines = reductions(args, group) if args.reduction else [measure(args, group)]
     group.close()
@@ -216,7 +215,7 @@ def lines_of(args: argparse.Namespace) -> list[dict[str, object]]:
 
 
 def main() -> None:
-    """Print what was measured, on rank 0."""
+    """Print the lines on rank 0."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scene", choices=sorted(KINDS), default="boxes")
     parser.add_argument("--steps", type=int, help="of a rollout; default: the scene's")

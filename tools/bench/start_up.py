@@ -1,13 +1,12 @@
 #!/usr/bin/env python3
 """Time a fresh process from its start to the first gradient.
 
-Starts `python` anew, imports NovaPhy, builds the ball, runs its 288 substeps in a Python loop of
-`step` on a tape, runs `backward` and prints the gradient. The soft body and the cloth
-(deformable.py beside this file) are captured, and launched once; what they print is the loss and
-the first parameters after their update. The clock runs from just before the process is started
-until its line has arrived. Prints one JSON line; the values that it holds are the same in every
-run, or the program fails. With an empty cache: NOVAPHY_CACHE_DIR=off.
-
+Starts a new `python`, which imports NovaPhy, builds the ball, runs its 288 substeps in a Python
+loop of `step` on a tape, runs `backward` and prints the gradient. The soft body and the cloth
+(deformable.py) are captured and launched once, and print the loss and the first parameters after
+their update. The measured time begins just before the process is started, and ends when its line
+has arrived. Prints one JSON line. The program fails if the printed values differ between runs.
+NOVAPHY_CACHE_DIR=off measures with an empty cache.
     python tools/bench/start_up.py --runs 10
     python tools/bench/start_up.py --scene cloth --n 16 --device cuda:0
 """
@@ -92,7 +91,7 @@ def main() -> None:
         parser.error("--runs and --n must be positive")
 
     once = partial(run_once, arguments.scene, arguments.n, arguments.device)
-    first, line = once()  # file caches; reported, not part of the median
+    first, line = once()  # fills the file caches, not part of the median
     results = [once() for _ in range(arguments.runs)]
     if any(other != line for _, other in results):
         raise SystemExit("start_up: the gradients of two runs differ")

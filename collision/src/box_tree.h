@@ -60,7 +60,7 @@ class BoxTree {
     size_t end = 0;      // first node after the subtree
   };
 
-  // Adds the node of some items, and its subtree.
+  // Adds a node for the given items, and its subtree.
   void split(std::span<const Vec3f> places, std::span<const int32_t> worlds,
              std::span<int32_t> items) {
     const auto world_of = [&](int32_t i) { return worlds[static_cast<size_t>(i)]; };

@@ -51,8 +51,8 @@ IndexRows rows_by(size_t keys, size_t count, KeyOf key_of) {
   return rows;
 }
 
-// Returns a vertex index. Side k of the mesh goes from a corner of triangle k / 3 to the next
-// corner.
+// Returns the vertex index of the corner `corner` % 3 of a triangle. Side k of the mesh goes from
+// corner k % 3 of triangle k / 3 to the next corner.
 int32_t corner_of(const MeshTree& tree, size_t triangle, size_t corner) {
   const Vec3i& t = tree.triangles[triangle];
   return corner % 3 == 0 ? t.x : corner % 3 == 1 ? t.y : t.z;

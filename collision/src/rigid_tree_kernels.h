@@ -111,8 +111,7 @@ NOVAPHY_ROW_KERNEL(rigid_tree_entry, RigidTreeEntryArguments) {
 
 // Builds the next level of boxes.
 struct RigidTreeLevelArguments {
-  NOVAPHY_ARGUMENTS(Number<int64_t> below, count;  // first node of the level below, and their
-                                                   // number
+  NOVAPHY_ARGUMENTS(Number<int64_t> below, count;  // level below: first node, count
                     Number<int64_t> above;         // first node of the level being built
                     Updates<geometry::Box3> nodes;)
 };

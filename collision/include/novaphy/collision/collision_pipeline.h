@@ -141,10 +141,10 @@ class NOVAPHY_COLLISION_API CollisionPipeline : public ContactFinder {
   // shapes in the step. Errors, after which nothing is written:
   //   ErrorKind::Value           a state or contacts of another model or device; contacts for
   //                              another number of candidate pairs (after an edit of shape flags,
-  //                              call contacts() again); a bad margin; dt not finite or <= 0;
-  //                              without dt and outside of recordings, check_rotations
-  //                              (input_checks.h)
-  //   ErrorKind::Index           a world of a particle, body or shape that does not exist
+  //                              call contacts() again); a bad margin; dt not finite or <= 0.
+  //                              Without dt and outside of recordings also the errors of
+  //                              check_rotations (input_checks.h)
+  //   ErrorKind::Index           a particle, body or shape has a world that does not exist
   //   ErrorKind::NotImplemented  a colliding shape that is not supported; recording Sap with meshes
   //   ErrorKind::Runtime         recording NarrowPhase::Fcl
   void collide(const SimState& state, Contacts& contacts,

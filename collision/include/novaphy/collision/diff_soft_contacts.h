@@ -7,9 +7,9 @@
 //   particle_f                          exact (linear)       exact (linear)
 //   particle_radius                     exact                exact
 //   shape_material_ke, kd, kf, mu       exact                exact
-//   contact point and normal            frozen               part of particle_q's
+//   contact point and normal            frozen               part of that by particle_q
 //   shape_transform, shape_scale        none                 none
-//   shape_margin, detection distance    none (select)        none (select)
+//   shape_margin, detection distance    none (compared only) none (compared only)
 // The kinks of the law are listed in diff_soft_contact_trace.h.
 #pragma once
 

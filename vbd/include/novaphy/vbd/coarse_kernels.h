@@ -41,7 +41,7 @@ struct alignas(16) VbdCoarseSearch {
 struct VbdCoarseArguments {
   NOVAPHY_ARGUMENTS(
       Part<VbdSweepArguments> sweep; Reads<int32_t> aggregate;  // of each particle; -1: none
-      Reads<VbdRow> field;        // of each particle: values of the linear functions
+      Reads<VbdRow> field;        // of each particle: values of its aggregate's linear functions
       Reads<int32_t> near_begin;  // of each particle: list of near aggregates
       Reads<int32_t> near;
       Reads<int64_t> near_row;        // of each near aggregate: its first matrix in `rows`

@@ -39,7 +39,8 @@ struct DiffVbdOptions {
 // gradients the step is iterated to its solution. backward and Tape::jvp run each step once more.
 //
 //   input                                                gradient
-//   particle_q, particle_qd, particle_f, targets         exact, also for kinematic particles
+//   particle_q, particle_qd, particle_f, targets         exact; particle_q also of kinematic
+//                                                        particles
 //   gravity, particle_mass and its inverse, particle_radius                              exact
 //   particle_spring_stiffness, _damping, _rest_length                                    exact
 //   particle_tri_pose, _area, _material (ke, ka, kd), particle_tet_pose, _material       exact

@@ -17,8 +17,9 @@
 // is therefore multiplied by (2 - s) s:
 //   s = |e1 x e2|^2 / (1e-3 |e1|^2 |e2|^2), with the rest lengths in the denominator
 //
-// Symbols: x, xn, r, d (m), k (N/m), kd (N*s/m). Source: SolverVBD of Newton 1.8.0. The factor (2 -
-// s) s: Li et al., "Incremental Potential Contact" (2020).
+// Symbols: x, xn, r, d (m), contact stiffness k (N/m), damping kd (N*s/m).
+// Source: SolverVBD of Newton 1.8.0. The factor (2 - s) s is that of Li et al., "Incremental
+// Potential Contact" (2020).
 // Not smooth: E'' at d = r, and f where the damping begins.
 // Gradient: none yet.
 #pragma once

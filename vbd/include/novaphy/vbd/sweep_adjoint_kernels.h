@@ -16,7 +16,7 @@ namespace novaphy {
 struct VbdAdjointArguments {
   NOVAPHY_ARGUMENTS(
       Part<VbdSweepArguments> sweep; Optional<Reads<VbdRow>>
-          before;  // positions before the color moved; null: the positions in x
+          before;  // positions of the particles before the color moved; null: those in x
       Updates<VbdRow> x_adjoint;  // input; the CPU also adds each particle's own adjoint
       Updates<VbdRow> u, d, own;  // own: adjoint of the own position, without slots
       // mass_adjoint is the adjoint of mass/h^2

@@ -36,7 +36,7 @@ struct VbdSweepArguments {
                     Number<float> regularization, slip, inside;  // see ParticleContact
                     Number<int64_t> lanes;                       // count of lanes of a group
                     Number<int64_t> damped;                      // bit r: role r has damping
-                    Number<int64_t> turns;  // 1: argument `turns` of block_of
+                    Number<int64_t> turns;  // 1: argument `turns` of block_of is true
                     Number<int64_t> first_group, end_group,
                     block_groups;            // groups of a thread block: 1 or kVbdLargeBlock
                     Writes<float> residual;  // output of vbd_residual
@@ -291,7 +291,7 @@ Vec3<S> guarded_step(const LaneGroup<S>& g, const Vec3<S>& x, Vec3<S> d) {
   }
 }
 
-// Moves each particle of a group by one step.
+// Moves each particle of a group by the step d that solves H d = f.
 template <bool safeguard, class S>
 void move(const LaneGroup<S>& g) {
   if (g.filled == 0) return;

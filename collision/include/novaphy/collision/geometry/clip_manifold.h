@@ -24,8 +24,7 @@ namespace novaphy::geometry {
 inline constexpr float kFaceCosine = 0.99863f;   // 3 deg
 inline constexpr float kParallelSine = 0.0349f;  // 2 deg
 inline constexpr float kFacePreference = 1e-4f;  // of the cosine: preference for the face of A
-inline constexpr float kDeepestShare = 4e-6f;    // of the features' size: tolerance of the deepest
-                                                 // point
+inline constexpr float kDeepestShare = 4e-6f;    // of the features' size: tolerance of depths
 inline constexpr int32_t kClipCapacity = 2 * kFeatureCapacity;
 
 // The signed distance, the normal from A to B, and the nearest points of the surfaces of a pair.
@@ -37,8 +36,7 @@ struct Proximity {
 
 struct ClippedFeature {
   Vec3f points[kClipCapacity];
-  int32_t codes[kClipCapacity];  // corner i: i; point made by plane k: 16 + 2 k, + 1 where the
-                                 // outline enters
+  int32_t codes[kClipCapacity];  // i: corner i; 16 + 2 k: on plane k (+ 1: the outline enters)
   int32_t count = 0;
   bool open = false;  // whether the feature is an edge instead of a polygon
 };

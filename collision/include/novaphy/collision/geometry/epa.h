@@ -36,8 +36,7 @@ struct Penetration {
 struct EpaFace {
   int32_t v[3];
   Vec3f normal;
-  float offset;  // distance of the plane from the origin along the normal; kNoFace: a face without
-                 // area
+  float offset;  // m, signed distance of the plane from the origin; kNoFace: no area
 };
 struct EpaPolytope {
   SupportPoint vertex[kEpaVertices];

@@ -16,8 +16,7 @@
 namespace novaphy::geometry {
 
 inline constexpr int32_t kFeatureCapacity = 16;
-inline constexpr float kCapCosine = 0.92388f;  // cos 22.5 deg: directions closer to the axis select
-                                               // the cap
+inline constexpr float kCapCosine = 0.92388f;  // cos 22.5 deg: nearer directions select the cap
 
 struct Feature {
   Vec3f points[kFeatureCapacity];

@@ -145,8 +145,8 @@ inline bool has_vertex(const Simplex& s, const Vec3f& w) {
   return false;
 }
 
-// Computes the distance of a pair. The search stops as soon as the distance must exceed `limit`
-// (m).
+// Computes the distance of a pair (m). The search stops as soon as a lower bound of the distance
+// exceeds `limit` (m).
 NOVAPHY_OUT_OF_LINE GjkResult gjk(const ShapePair& pair, float limit) {
   GjkResult result;
   Simplex& s = result.simplex;

@@ -24,8 +24,7 @@
 namespace novaphy::geometry {
 
 inline constexpr int32_t kManifoldCapacity = 8;
-inline constexpr int32_t kCandidateCapacity = 40;  // largest number of points from clipping plus a
-                                                   // nearest point
+inline constexpr int32_t kCandidateCapacity = 40;  // points from clipping, and a nearest one
 
 struct ContactPoint {
   Vec3f position{};      // m

@@ -20,8 +20,7 @@
 
 namespace novaphy::geometry {
 
-inline constexpr float kForeseenEdge = 4.0f;    // of the gap: the test does not pay off for longer
-                                                // edges
+inline constexpr float kForeseenEdge = 4.0f;    // of the gap: longest edge for the test
 inline constexpr float kSurelyRises = 0.008f;   // sine: kLeanSine plus the error of a normal
 inline constexpr float kSurelyTilted = 0.056f;  // sine: above that of kFaceCosine, 0.0523
 inline constexpr float kSurelyFacing = 0.048f;  // sine: below that of kFaceCosine

@@ -29,8 +29,7 @@ namespace novaphy::geometry {
 
 inline constexpr float kStandSine = 0.3f;      // about 17 deg
 inline constexpr float kMeshTouch = 1e-5f;     // of the size: this near counts as on the surface
-inline constexpr float kOverFace = 1e-4f;      // of an edge: beside a face by this much counts as
-                                               // over it
+inline constexpr float kOverFace = 1e-4f;      // of an edge: counts as over the face
 inline constexpr float kBeside = 0.01f;        // of the size: allowed offset beside a face
 inline constexpr float kCrossingSine = 1e-2f;  // edges closer to parallel have no contact
 inline constexpr float kMeshNear = 0.1f;       // of the size: see mesh_reach

@@ -167,8 +167,7 @@ inline Manifold plane_ellipsoid(const Plane& plane, const Transformf& ellipsoid,
 }
 
 inline constexpr float kPlaneBand = 0.05f;       // of the size: band below the deepest vertex
-inline constexpr float kEquallyDeep = 1e-5f;     // of the size: on such a tie the first vertex
-                                                 // counts
+inline constexpr float kEquallyDeep = 1e-5f;     // of the size: then the first vertex counts
 inline constexpr float kSamePlanePoint = 1e-4f;  // of the size
 
 // Returns up to four vertices of a hull or mesh that are nearly as deep as the deepest vertex, by

@@ -8,7 +8,7 @@
 // T is 0 at and below the rest length. The damper acts only while the rope is taut, so T is
 // continuous. H is the second derivative of E and positive semidefinite everywhere.
 //
-// Source: the no-compression adjoint of structural analysis, with a Kelvin-Voigt damper that never
+// Source: the tension-only member of structural analysis, with a Kelvin-Voigt damper that never
 // pushes.
 // Kinks: at T = 0 the derivatives are 0, as for the slack rope. At ln = rest with kd > 0 the
 // derivatives are those of ln > rest.

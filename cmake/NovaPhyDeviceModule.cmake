@@ -17,7 +17,7 @@ set(NOVAPHY_DEVICE_INCLUDES core/device core/include collision/include dynamics/
 list(TRANSFORM NOVAPHY_DEVICE_INCLUDES PREPEND ${PROJECT_SOURCE_DIR}/)
 if(NOVAPHY_WITH_CUDA OR NOVAPHY_WITH_DLAN)
   add_custom_target(novaphy_device_sources)
-  # In a cross build, -DNOVAPHY_DEVICE_TEXT=<path> names the tool, which a host build of the same sources
+  # In a cross build, -DNOVAPHY_DEVICE_SOURCE=<path> names the tool, which a host build of the same sources
   # made.
   if(NOT NOVAPHY_DEVICE_SOURCE)
     add_subdirectory(${PROJECT_SOURCE_DIR}/tools/device_source ${PROJECT_BINARY_DIR}/tools/device_source)

@@ -2,7 +2,7 @@
 //
 // An iteration solves all bodies of a tree together (vbd_body_tree). The edges of the trees are
 // joints and contacts. A row between two bodies that is not an edge counts twice in the stiffness
-// of both bodies. This bounds the coupling that the tree leaves out from above.
+// of both bodies. The doubled stiffness is an upper bound of the coupling that the tree leaves out.
 //
 // vbd_body_take shortens a step that goes far beyond the minimum of the energy along the step. If
 // the rows of a tree close cycles, the iteration first visits the bodies color by color:

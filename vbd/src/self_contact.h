@@ -79,8 +79,8 @@ class SelfContact {
 
  private:
   using Vec3d = geometry::Vec3d;
-  // The plane normal.x = offset between the two features of a pair. The first feature has normal.x
-  // > offset.
+  // The plane normal.x = offset between the two features of a pair. For points x of the first
+  // feature normal.x exceeds the offset.
   struct Plane {
     Vec3d normal{};
     double offset = 0.0;

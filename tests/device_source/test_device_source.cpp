@@ -101,9 +101,11 @@ TEST(DeviceCode, CallsFormulasWithAnyTypeInPlaceOfAConcept) {
 TEST(KernelLines, HaveTheNameTheWordsAndTheKindOfEachDeclaration) {
   EXPECT_EQ(kernel_lines("\nNOVAPHY_ROW_KERNEL(move_rows, Move) {\n}\n"
                          "NOVAPHY_BLOCK_KERNEL(sum_2, 12, Sum) {\n}\n"
+                         "NOVAPHY_SHARED_BLOCK_KERNEL(solve, Solve) {\n}\n"
                          "NOVAPHY_ROW_KERNEL(lower, argument)\n"
                          "#define NOVAPHY_ROW_KERNEL(name, A)\n"),
-            "// kernel move_rows 0 NOVAPHY_ROW\n// kernel sum_2 12 NOVAPHY_BLOCK\n");
+            "// kernel move_rows 0 NOVAPHY_ROW\n// kernel sum_2 12 NOVAPHY_BLOCK\n"
+            "// kernel solve 0 NOVAPHY_BLOCK\n");
 }
 
 TEST(CodeOfTheBuild, IsIncludedAsCodeAndAsText) {

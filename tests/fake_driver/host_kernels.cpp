@@ -326,9 +326,11 @@ const HostKernel* find_host_kernel(const char* name) {
       OF_TEXT(vbd_coarse_source::novaphy, vbd_coarse_force),
       OF_TEXT(vbd_coarse_source::novaphy, vbd_coarse_outer),
       OF_TEXT(vbd_coarse_source::novaphy, vbd_coarse_matrix),
-      OF_TEXT(vbd_coarse_source::novaphy, vbd_coarse_factor),
+      entry<device::vbd_coarse_source::novaphy::vbd_coarse_factor>(
+          "vbd_coarse_factor", true, device::vbd_coarse_source::novaphy::vbd_coarse_factor),
       OF_TEXT(vbd_coarse_source::novaphy, vbd_coarse_load),
-      OF_TEXT(vbd_coarse_source::novaphy, vbd_coarse_solve),
+      entry<device::vbd_coarse_source::novaphy::vbd_coarse_solve>(
+          "vbd_coarse_solve", true, device::vbd_coarse_source::novaphy::vbd_coarse_solve),
       OF_TEXT(vbd_coarse_source::novaphy, vbd_coarse_test),
       OF_TEXT(vbd_coarse_source::novaphy, vbd_coarse_try),
       OF_TEXT(vbd_coarse_source::novaphy, vbd_coarse_take),

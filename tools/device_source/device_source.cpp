@@ -188,10 +188,10 @@ std::string kernel_lines(std::string_view text) {
   std::string lines;
   for (size_t at = 0; (at = text.find("\nNOVAPHY_", at)) != std::string_view::npos; ++at) {
     const std::string_view rest = text.substr(at + 9);
-    for (const std::string_view kind : {"ROW", "BLOCK"}) {
+    for (const std::string_view kind : {"ROW", "BLOCK", "SHARED_BLOCK"}) {
       const std::string begin = std::string(kind) + "_KERNEL(";
       if (rest.substr(0, begin.size()) == begin)
-        lines += kernel_line(rest.substr(begin.size()), kind);
+        lines += kernel_line(rest.substr(begin.size()), kind == "ROW" ? kind : "BLOCK");
     }
   }
   return lines;

@@ -45,6 +45,7 @@ class Coarse {
   // that ran before.
   VbdCoarseArguments arguments(const VbdSweepArguments& sweep, int64_t tests) const;
   int64_t systems() const { return static_cast<int64_t>(matrix_begin_.rows()); }
+  int64_t threads() const { return systems() * kBlockRows; }  // of all blocks
   int64_t functions() const { return static_cast<int64_t>(function_aggregate_.rows()); }
   int64_t pairs() const { return static_cast<int64_t>(pairs_.rows() / 2); }
   const DeviceArray<float>& matrix() const { return matrix_; }

@@ -188,8 +188,7 @@ int64_t Step::find_mover() const {
   // "team" is the value of earlier versions for "block".
   require(wanted.empty() || wanted == "thread" || wanted == "block" || wanted == "team",
           ErrorKind::Value, "NOVAPHY_VBD_SWEEP: expected thread or block, got '", wanted, "'");
-  return options_.safeguard || coarse() != nullptr || wanted == "thread" ? 0
-                                                                         : tables_->block_groups;
+  return options_.safeguard || wanted == "thread" ? 0 : tables_->block_groups;
 }
 
 // Writes activations into the slots whose stored activation differs.

@@ -187,7 +187,7 @@ void StepAdjoint::add_coarse_step(size_t iteration) {
   VbdCoarseArguments c = coarse.arguments(step_.sweep(0, groups), 0);
   c.force = x_bar_;
   list_->add(kernels().coarse_load, coarse.functions(), c);
-  list_->add(kernels().coarse_solve, coarse.systems(), c);
+  list_->add(kernels().coarse_solve, coarse.threads(), c);
   c.search = step_.search(iteration);
   c.sweep.moved = fields_[iteration];
   c.force = multipliers_;

@@ -45,7 +45,7 @@ void StepList::add_coarse_matrices(const Step& step) {
             {.values = coarse.matrix()}, kMatrixRows);
   list_.add(kernels().coarse_rows, groups * step.slots().lanes(), a, kLaneRows);
   list_.add(kernels().coarse_matrix, coarse.pairs(), a, kLaneRows);
-  list_.add(kernels().coarse_factor, coarse.systems(), a, 1);
+  list_.add(kernels().coarse_factor, coarse.threads(), a, kBlockRows);
 }
 
 // Adds the launches of the coarse step of each system, with its line search.
@@ -57,7 +57,11 @@ void StepList::add_coarse_step(const Step& step) {
     const VbdCoarseArguments a = coarse.arguments(sweep, tests);
     list_.add(kernels().coarse_force, groups * step.slots().lanes(), a, kLaneRows);
     list_.add(kernels().coarse_load, coarse.functions(), a, kLaneRows);
-    list_.add(tests == 0 ? kernels().coarse_solve : kernels().coarse_test, coarse.systems(), a, 1);
+    if (tests == 0) {
+      list_.add(kernels().coarse_solve, coarse.threads(), a, kBlockRows);
+    } else {
+      list_.add(kernels().coarse_test, coarse.systems(), a, 1);
+    }
   };
   add_load(0);
   for (int64_t tests = 1; tests <= kVbdCoarseTests; ++tests) {

@@ -116,7 +116,7 @@ void StepTangent::correct(size_t iteration, const Rows4& guess) {
     VbdCoarseArguments taken = c;
     taken.search = search;
     novaphy::run(kernels().coarse_load, coarse.functions(), c);
-    novaphy::run(kernels().coarse_solve, coarse.systems(), c);
+    novaphy::run(kernels().coarse_solve, coarse.threads(), c);
     novaphy::run(kernels().coarse_take, static_cast<int64_t>(x_.rows()), taken);
   };
   VbdTangentArguments a = arguments(0, step_.colors().size() - 1, true);

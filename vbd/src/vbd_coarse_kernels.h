@@ -3,6 +3,7 @@
 // do not depend on the number of threads.
 #pragma once
 
+#include "novaphy/core/block_kernel.h"
 #include "novaphy/vbd/coarse_kernels.h"
 
 namespace novaphy {
@@ -20,7 +21,7 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_outer, VbdCoarseArguments) {
 
 namespace vbd {
 
-// The system of a row of a launch: its first function, its number of unknowns and its matrix.
+// A system: its first function, its number of unknowns, and its matrix, column by column.
 struct CoarseSystem {
   int64_t first, unknowns;
   float* matrix;
@@ -28,6 +29,7 @@ struct CoarseSystem {
       : first(a.function_begin[a.system_begin[system]]),
         unknowns(3 * (a.function_begin[a.system_begin[system + 1]] - first)),
         matrix(a.matrix + a.matrix_begin[system]) {}
+  float* column(int64_t j) const { return matrix + j * unknowns; }
 };
 
 // Returns the dot product of a and b, in four partial sums.
@@ -38,10 +40,6 @@ inline float coarse_dot(const float* a, const float* b, int64_t count) {
     for (int64_t part = 0; part < 4; ++part) sum[part] = sum[part] + a[k + part] * b[k + part];
   for (int64_t part = 0; k < count; ++k, ++part) sum[part] = sum[part] + a[k] * b[k];
   return (sum[0] + sum[1]) + (sum[2] + sum[3]);
-}
-// Subtracts s a from `to`, for `count` entries.
-inline void coarse_subtract(float* to, float s, const float* a, int64_t count) {
-  for (int64_t k = 0; k < count; ++k) to[k] = to[k] - s * a[k];
 }
 
 }  // namespace vbd
@@ -65,26 +63,6 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_matrix, VbdCoarseArguments) {
       s.matrix[(3 * (h - s.first) + c) * s.unknowns + 3 * (g - s.first) + r] = sum[3 * r + c];
 }
 
-// Factorizes A = L D L^T, with L below the diagonal and 1/D on the diagonal. An unknown whose pivot
-// is at most 1e-6 of its diagonal entry is left out. A row is a system.
-NOVAPHY_ROW_KERNEL(vbd_coarse_factor, VbdCoarseArguments) {
-  a.search[row].whole = 0.0f;
-  const vbd::CoarseSystem s(a, static_cast<int32_t>(row));
-  const int64_t size = s.unknowns;
-  for (int64_t j = 0; j < size; ++j) {
-    float* const column = s.matrix + j * size;
-    const float diagonal = column[j];
-    for (int64_t k = 0; k < j; ++k) {
-      const float* const before = s.matrix + k * size;
-      if (before[j] == 0.0f || before[k] == 0.0f) continue;
-      vbd::coarse_subtract(column + j, before[j] / before[k], before + j, size - j);
-    }
-    const float inverse = column[j] > 1e-6f * diagonal ? 1.0f / column[j] : 0.0f;
-    column[j] = inverse;
-    for (int64_t i = j + 1; i < size; ++i) column[i] = column[i] * inverse;
-  }
-}
-
 // Computes P^T f. A row is a function.
 NOVAPHY_ROW_KERNEL(vbd_coarse_load, VbdCoarseArguments) {
   const int32_t aggregate = a.function_aggregate[row];
@@ -100,26 +78,144 @@ NOVAPHY_ROW_KERNEL(vbd_coarse_load, VbdCoarseArguments) {
   a.load[3 * row + 2] = sum.z;
 }
 
-// Solves A a = P^T f for the step a, and starts the line search. A row is a system.
-NOVAPHY_ROW_KERNEL(vbd_coarse_solve, VbdCoarseArguments) {
-  const vbd::CoarseSystem s(a, static_cast<int32_t>(row));
-  const int64_t size = s.unknowns;
+namespace vbd {
+
+// The columns between two waits of the threads of a block.
+constexpr int64_t kCoarsePanel = 8;
+
+// Factorizes column j: subtracts the columns [first, j) of its panel, and divides by the pivot.
+inline void coarse_finish_column(const CoarseSystem& s, int64_t first, int64_t j, float diagonal) {
+  float* const column = s.column(j);
+  for (int64_t k = first; k < j; ++k) {
+    const float* const before = s.column(k);
+    const float factor = column[k];
+    for_block(j, s.unknowns, [&](int64_t i) { column[i] = column[i] - factor * before[i]; });
+  }
+  wait_for_block();
+  const float inverse = column[j] > 1e-6f * diagonal ? 1.0f / column[j] : 0.0f;
+  wait_for_block();
+  for_block(j + 1, s.unknowns, [&](int64_t i) {
+    s.column(i)[j] = column[i];
+    column[i] = column[i] * inverse;
+  });
+  if (is_first_of_block()) column[j] = inverse;
+  wait_for_block();
+}
+
+// Subtracts the products of the panel from the columns behind the panel.
+inline void coarse_subtract_panel(const CoarseSystem& s, int64_t first) {
+  const float* const panel = s.column(first);
+  for (int64_t j = first + kCoarsePanel; j < s.unknowns; ++j) {
+    float* const column = s.column(j);
+    float factors[kCoarsePanel];
+    for (int64_t w = 0; w < kCoarsePanel; ++w) factors[w] = column[first + w];
+    for_block(j, s.unknowns, [&](int64_t i) {
+      float value = column[i];
+      for (int64_t w = 0; w < kCoarsePanel; ++w)
+        value = value - factors[w] * panel[w * s.unknowns + i];
+      column[i] = value;
+    });
+  }
+  wait_for_block();
+}
+
+}  // namespace vbd
+
+// Factorizes A = L U. L has a diagonal of 1 and lies below the diagonal, U lies above, and the
+// diagonal has the inverse of that of U. An unknown whose pivot is at most 1e-6 of its diagonal
+// entry of A is left out. A block is a system.
+NOVAPHY_SHARED_BLOCK_KERNEL(vbd_coarse_factor, VbdCoarseArguments) {
+  a.search[block].whole = 0.0f;
+  const vbd::CoarseSystem s(a, static_cast<int32_t>(block));
+  float* const diagonal = a.step + 3 * s.first;  // no step is kept there yet
+  for_block(0, s.unknowns, [&](int64_t j) { diagonal[j] = s.column(j)[j]; });
+  wait_for_block();
+  for (int64_t first = 0; first < s.unknowns; first += vbd::kCoarsePanel) {
+    for (int64_t j = first; j < first + vbd::kCoarsePanel && j < s.unknowns; ++j)
+      vbd::coarse_finish_column(s, first, j, diagonal[j]);
+    vbd::coarse_subtract_panel(s, first);
+  }
+}
+
+namespace vbd {
+
+// The unknowns of a panel, which each thread of a block computes.
+struct CoarsePanel {
+  int64_t first, width;
+  float x[kCoarsePanel] = {};
+  CoarsePanel(const CoarseSystem& s, int64_t begin)
+      : first(begin), width(s.unknowns - begin < kCoarsePanel ? s.unknowns - begin : kCoarsePanel) {
+  }
+  void write(float* step) const {
+    wait_for_block();
+    for (int64_t w = 0; w < kCoarsePanel; ++w)
+      if (is_first_of_block() && w < width) step[first + w] = x[w];
+  }
+};
+
+// Solves L y = step in place, by panels of columns.
+inline void coarse_solve_lower(const CoarseSystem& s, float* step) {
+  for (int64_t first = 0; first < s.unknowns; first += kCoarsePanel) {
+    const float* const columns = s.column(first);
+    CoarsePanel y(s, first);
+    for (int64_t w = 0; w < kCoarsePanel; ++w) {
+      if (w >= y.width) continue;
+      y.x[w] = step[first + w];
+      for (int64_t v = 0; v < w; ++v)
+        y.x[w] = y.x[w] - y.x[v] * columns[v * s.unknowns + first + w];
+    }
+    y.write(step);
+    for_block(first + kCoarsePanel, s.unknowns, [&](int64_t i) {
+      float sum = step[i];
+      for (int64_t w = 0; w < kCoarsePanel; ++w) sum = sum - y.x[w] * columns[w * s.unknowns + i];
+      step[i] = sum;
+    });
+    wait_for_block();
+  }
+}
+// Solves U x = step in place, by panels of columns from the last one.
+inline void coarse_solve_upper(const CoarseSystem& s, float* step) {
+  for (int64_t first = (s.unknowns - 1) / kCoarsePanel * kCoarsePanel; first >= 0;
+       first -= kCoarsePanel) {
+    const float* const columns = s.column(first);
+    CoarsePanel x(s, first);
+    for (int64_t w = kCoarsePanel; w-- > 0;) {
+      if (w >= x.width) continue;
+      x.x[w] = step[first + w];
+      for (int64_t v = kCoarsePanel; v-- > w + 1;)
+        if (v < x.width) x.x[w] = x.x[w] - x.x[v] * columns[v * s.unknowns + first + w];
+      x.x[w] = x.x[w] * columns[w * s.unknowns + first + w];
+    }
+    x.write(step);
+    for_block(0, first, [&](int64_t i) {
+      float sum = step[i];
+      for (int64_t w = kCoarsePanel; w-- > 0;)
+        if (w < x.width) sum = sum - x.x[w] * columns[w * s.unknowns + i];
+      step[i] = sum;
+    });
+    wait_for_block();
+  }
+}
+
+}  // namespace vbd
+
+// Solves A a = P^T f for the step a, and starts the line search. A block is a system.
+NOVAPHY_SHARED_BLOCK_KERNEL(vbd_coarse_solve, VbdCoarseArguments) {
+  const vbd::CoarseSystem s(a, static_cast<int32_t>(block));
   const float* const load = a.load + 3 * s.first;
   float* const step = a.step + 3 * s.first;
-  for (int64_t i = 0; i < size; ++i) step[i] = load[i];
-  for (int64_t j = 0; j < size; ++j)
-    vbd::coarse_subtract(step + j + 1, step[j], s.matrix + j * size + j + 1, size - j - 1);
-  for (int64_t j = size; j-- > 0;) {
-    const float* const column = s.matrix + j * size;
-    step[j] = step[j] * column[j] - vbd::coarse_dot(column + j + 1, step + j + 1, size - j - 1);
-  }
-  VbdCoarseSearch& search = a.search[row];
+  for_block(0, s.unknowns, [&](int64_t i) { step[i] = load[i]; });
+  wait_for_block();
+  vbd::coarse_solve_lower(s, step);
+  vbd::coarse_solve_upper(s, step);
+  if (!is_first_of_block()) return;
+  VbdCoarseSearch& search = a.search[block];
   search.length = 1.0f;
-  search.slope = vbd::coarse_dot(load, step, size);
+  search.slope = vbd::coarse_dot(load, step, s.unknowns);
   search.is_done = search.slope <= kVbdCoarseTrust * search.whole ? 1.0f : 0.0f;
 }
 
-// Ends the line search if the step is short enough, or halves the length. A row is a system.
+// Ends the line search if the step is short enough, or halves the length t. A row is a system.
 NOVAPHY_ROW_KERNEL(vbd_coarse_test, VbdCoarseArguments) {
   VbdCoarseSearch& search = a.search[row];
   if (search.is_done != 0.0f) return;

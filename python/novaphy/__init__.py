@@ -2,7 +2,7 @@
 
 The engine is a native library, and this package is its Python interface. The subpackages
 (``novaphy.nova``, ``novaphy.diff``, ``novaphy.solvers``, ``novaphy.viewer``, ``novaphy.io``,
-``novaphy.assets``, ``novaphy.testing``) are imported at their first use.
+``novaphy.envs``, ``novaphy.assets``, ``novaphy.testing``) are imported at their first use.
 
 Conventions: SI units, float32, z up by default, quaternions ``(x, y, z, w)``, transforms ``(px, py,
 pz, qx, qy, qz, qw)``.
@@ -217,12 +217,15 @@ __all__ = [
 
 
 def _select(self: Model, pattern: str, *, world: int | None = None) -> Selection:
-    """Return the joints, bodies and actuators whose name matches a pattern, as a Selection.
+    """Return the joints, bodies, shapes and actuators whose label matches a pattern.
 
     Args:
-        pattern: a shell pattern (*, ?, [...]) for the name, or for articulation/name, such as
-            "*/knee*".
-        world: one world; None: all worlds.
+        pattern: a shell pattern (*, ?, [...]). A label matches if the pattern fits the label, or
+            fits "articulation/label", as "*/knee*" does.
+        world: the index of the world to search. None searches all worlds.
+
+    Returns:
+        A Selection: the indices of the matches, and access to their rows in arrays.
 
     Raises:
         TypeError: the pattern is not a str.

@@ -1,7 +1,7 @@
-"""Error messages about arguments of native functions: the name, the expected type, the given one.
+"""Error messages about arguments of native functions: argument name, expected and given type.
 
-The message of pybind11 lists the signatures. This module parses them and compares them with the
-call.
+A TypeError of pybind11 lists the signatures of the function. This module parses the signatures and
+compares them with the call.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def _is_number(value: Any) -> bool:
     return hasattr(value, "__float__") or hasattr(value, "__index__")
 
 
-# pybind11's annotation -> its name in messages, and a test for values of the type.
+# Type annotation of pybind11 -> (name of the type in messages, test whether a value fits).
 _KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "typing.SupportsInt | typing.SupportsIndex": ("an integer", _is_integer),
     "int": ("an integer", _is_integer),
@@ -49,8 +49,8 @@ class _Parameter:
 
 @dataclass
 class _Complaint:
-    place: int  # how many parameters were looked at before
-    text: str  # the fault of the call; for an argument: the expected type
+    place: int  # number of parameters that fit before the fault
+    text: str  # the fault of the call, or the expected type of the argument
     argument: str = ""
     value: Any = None
 
@@ -59,7 +59,7 @@ def explain(label: str, message: str, args: Sequence[Any], kwargs: dict[str, Any
     """Explain what is wrong with a call, or return pybind11's message if the reason is not found.
 
     Args:
-        label: the function's public name without the package: "diff.Trajectory".
+        label: the function's public name without the package, as "diff.Trajectory".
         message: pybind11's message, with one signature per overload.
         args: the positional arguments, including the object of a method.
         kwargs: the keyword arguments.
@@ -74,7 +74,7 @@ def explain(label: str, message: str, args: Sequence[Any], kwargs: dict[str, Any
         complaints.append(complaint)
     if not complaints:
         return message
-    # The caller means the overloads that fit up to the last argument.
+    # The caller most likely means the overload whose fault comes last, so only it is explained.
     furthest = max(complaint.place for complaint in complaints)
     meant = [complaint for complaint in complaints if complaint.place == furthest]
     first = meant[0]
@@ -89,7 +89,7 @@ def explain(label: str, message: str, args: Sequence[Any], kwargs: dict[str, Any
 def _complaint(
     parameters: list[_Parameter], args: Sequence[Any], kwargs: dict[str, Any]
 ) -> _Complaint | None:
-    """Return the first argument that does not match the parameters."""
+    """Return the first fault of a call against the parameters of one overload; None: no fault."""
     positional = [p for p in parameters if not p.keyword_only]
     if len(args) > len(positional):
         text = f"expected at most {len(positional)} positional arguments, got {len(args)}"
@@ -106,7 +106,7 @@ def _complaint(
             return _Complaint(0, f"argument {name!r} was given twice")
     given |= kwargs
     none_given: _Complaint | None = (
-        None  # objects of ours may be None, and signatures do not say so
+        None  # arguments of NovaPhy's classes accept None, although the signature does not say so
     )
     for place, parameter in enumerate(parameters):
         if parameter.name not in given:
@@ -125,7 +125,7 @@ def _complaint(
 
 
 def _mismatch(annotation: str, value: Any) -> str | None:
-    """Return the expected type if a value does not match it; None if it matches or is not known."""
+    """Return the expected type if a value does not fit. None: it fits, or the type is unknown."""
     annotation, optional = re.subn(r" \| None$", "", annotation)
     if optional and value is None:
         return None
@@ -134,7 +134,7 @@ def _mismatch(annotation: str, value: Any) -> str | None:
             return "a sequence"
         wrong = [_mismatch(many[1], each) for each in value]
         return next((f"a sequence with {each} in each place" for each in wrong if each), None)
-    # A class that was bound after the function that takes it.
+    # pybind11 writes the C++ name of a class that was bound after the function.
     annotation = annotation.replace("novaphy::", _OURS)
     if annotation.startswith(_OURS):
         path = annotation.removeprefix(_OURS)

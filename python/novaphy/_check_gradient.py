@@ -26,7 +26,7 @@ def _load(path: Path) -> Any:
     if spec is None or spec.loader is None:
         raise ValueError(f"check: expected a Python file, got {path}")
     module = importlib.util.module_from_spec(spec)
-    sys.path.insert(0, str(path.resolve().parent))  # as Python does for a script
+    sys.path.insert(0, str(path.resolve().parent))  # so that the file can import its neighbors
     sys.modules[path.stem] = module
     spec.loader.exec_module(module)
     return module
@@ -39,7 +39,7 @@ def _find(module: Any, word: str, path: Path) -> Any:
 
 
 def _save(certificate: Any, f: Any, theta: Any, sigma: Any, path: str) -> None:
-    """Write the picture; a page also has the record, where the steps have one."""
+    """Write the picture of a certificate. A page also shows the adjoint record, if there is one."""
     from .diff import _certificate_view, _parameters
 
     of = _parameters.Losses(f, _parameters.Parameters("check", theta, sigma))
@@ -71,7 +71,10 @@ def _certify(word: str, options: list[str]) -> int:
 
 
 def check_function(word: str, options: list[str]) -> int:
-    """Print the certificate. Returns 0: "of the motion", 1: another verdict, 2: an error."""
+    """Print the certificate of FILE.py:FUNCTION and return the exit code.
+
+    The code is 0 for the verdict "of the motion", 1 for another verdict, and 2 for an error.
+    """
     try:
         return _certify(word, options)
     except (ValueError, OSError, ImportError, NotImplementedError, novaphy.Error) as error:

@@ -45,7 +45,7 @@ COMPLETION = """_novaphy() {
 complete -o filenames -F _novaphy novaphy
 """
 VIEWED = (".msh", ".obj", ".stl", ".ply", ".dae", ".glb", ".urdf", ".xml")
-# Package -> the extra of novaphy that installs it, and its use.
+# Optional package -> (extra of novaphy that installs the package, what needs the package).
 OPTIONAL = {
     "moderngl": ("gl", "ViewerGL"),
     "pyglet": ("gl", "the window of ViewerGL"),
@@ -137,7 +137,7 @@ def bench(args: argparse.Namespace) -> int:
 
     path = find_demo(args.demo)
     behind = argparse.ArgumentParser(prog="novaphy bench", add_help=False, allow_abbrev=False)
-    behind.add_argument("--count", type=int, default=args.count)  # behind the demo's name too
+    behind.add_argument("--count", type=int, default=args.count)  # also after the demo's name
     known, options = behind.parse_known_args(args.options)
     if known.count < 4:
         raise ValueError(f"bench, --count: expected a number >= 4, got {known.count}")
@@ -155,7 +155,7 @@ def bench(args: argparse.Namespace) -> int:
         start_demo(path, ["--headless", str(known.count), *options])
     if len(times) < 4:
         raise ValueError(f"bench: the demo stopped early: {said.getvalue().strip()}")
-    # The first two iterations are left out: they may record a capture and compile kernels.
+    # The first two iterations are left out, because they may record a capture or compile kernels.
     each = np.diff(times)[1:]
     result = {
         "demo": args.demo,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from itertools import chain
 
-# Owner -> feature that is planned -> its names.
+# Owner (module or class) -> planned feature -> names of the feature in other projects.
 PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
     "novaphy": {
         "streams": ("Stream", "ScopedStream", "get_stream"),
@@ -25,7 +25,7 @@ PLANNED: dict[str, dict[str, tuple[str, ...]]] = {
     },
 }
 
-# Owner -> what to use instead -> names, with * for any letters.
+# Owner -> what to use instead -> names of other projects, with * for any letters.
 INSTEAD: dict[str, dict[str, str]] = {
     "novaphy": {
         "novaphy.io.Mesh": "Mesh",
@@ -150,7 +150,7 @@ INSTEAD: dict[str, dict[str, str]] = {
         "target_q": "target_pos",
         "target_qd": "target_vel",
     },
-    # Names of all solvers; the names of a single solver come first.
+    # Names for all solvers. The entry of a single solver is searched before this entry.
     "SolverBase": {
         "the keyword arguments of the solver, and its properties": "settings Config",
         "novaphy.backends()": "backend_info",
@@ -211,7 +211,7 @@ NOT_BUILT_IN: dict[str, dict[str, str]] = {
     },
 }
 
-# A feature that is not supported -> its names, of any owner.
+# Feature that is not supported -> its names, for every owner.
 NOT_BUILT: dict[str, str] = {
     "tendons": "tendon_* add_tendon Tendon*",
     "muscles": "muscle_* add_muscle",
@@ -270,7 +270,7 @@ NOT_BUILT: dict[str, str] = {
     "this solver": "SolverKamino SolverSteel SolverStyle3D experimental style3d",
 }
 
-# The replacement of an argument -> names of the argument.
+# NovaPhy's name of an argument -> names of the argument in other projects.
 ARGUMENTS: dict[str, str] = {
     "target_pos": "target_q",
     "target_vel": "target_qd",
@@ -313,16 +313,16 @@ ARGUMENTS: dict[str, str] = {
 
 
 class PlannedError(NotImplementedError, AttributeError):
-    """Raised for a member that is not supported. The error is also an AttributeError, so hasattr
-    returns False.
+    """Raised for a member that is not supported. Also an AttributeError, so that hasattr returns
+    False.
     """
 
 
 def missing_from_module(module: str, name: str) -> Exception:
     """Return the exception that a module raises for a missing name.
 
-    A name in the tables gives a NotImplementedError. An AttributeError would be hidden by ``from
-    module import name``, which reports "cannot import name".
+    A name in the tables gives a NotImplementedError. ``from module import name`` shows its message,
+    whereas it replaces the message of an AttributeError by "cannot import name".
     """
     told = _sentence(module, name)
     if told:
@@ -331,10 +331,10 @@ def missing_from_module(module: str, name: str) -> Exception:
 
 
 def explain_members(cls: type, owner: str = "", base: str = "") -> None:
-    """Make objects of a class explain missing members.
+    """Let a class explain missing members: what to use instead, or that they are not supported.
 
     Args:
-        cls: the class, which gets __getattr__ and __setattr__.
+        cls: the class; the function sets its __getattr__ and __setattr__.
         owner: the name of the class in the tables; "": the name of the object's class.
         base: the name of a common base class in the tables.
     """
@@ -359,7 +359,7 @@ def explain_members(cls: type, owner: str = "", base: str = "") -> None:
 
 
 def _sentence(owner: str, name: str, base: str = "") -> str | None:
-    """Return the message about a missing name of another project; None for any other name."""
+    """Return the message about a missing name that the tables have; None for any other name."""
     if name.startswith("_"):
         return None
     for part, planned in PLANNED.get(owner, {}).items():

@@ -1,4 +1,4 @@
-"""Errors about optional parts that a build lacks."""
+"""ImportErrors about optional parts of NovaPhy that the build does not have."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from . import _core
 
 
 def require_diff(module: str) -> None:
-    """Raise ImportError with the CMake option unless the build has the differentiable part."""
+    """Raise ImportError, which names the CMake option, if the build has no differentiable part."""
     if not _core.has_diff():
         raise _missing(module, "NOVAPHY_WITH_DIFF")
 
 
 def require_vbd(module: str) -> None:
-    """Raise ImportError with the CMake option unless the build has VBD."""
+    """Raise ImportError, which names the CMake option, if the build has no VBD."""
     if not _core.has_vbd():
         raise _missing(module, "NOVAPHY_BUILD_VBD")
 

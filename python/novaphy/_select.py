@@ -21,13 +21,15 @@ _OF_JOINTS = frozenset(
 
 
 class Selection:
-    """The joints, bodies, shapes and actuators that Model.select found, with rows in arrays.
+    """The joints, bodies, shapes and actuators that Model.select found.
 
     The attributes joints, bodies, shapes, sites, actuators, coords and dofs are indices in
-    ascending order. Sites are shapes with ShapeFlags.SITE. `view` gives access to the rows of a
-    field, `get` returns a copy of the rows, and `set` writes them. Other rows are not changed.
-    Values have the shape {worlds, rows, ...} if several worlds have equally many rows, else
-    {rows, ...}.
+    ascending order. coords and dofs are the rows of the joints in joint_q and joint_qd. Sites are
+    shapes with ShapeFlags.SITE.
+
+    `view` gives access to the selected rows of an array, `get` copies them, and `set` writes them.
+    The values have the shape {worlds, rows, ...} if several worlds have the same number of rows,
+    else {rows, ...}.
     """
 
     joints: NDArray[np.int32]
@@ -63,13 +65,14 @@ class Selection:
         self.sites = self.shapes[(flags & int(_core.ShapeFlags.SITE)) != 0]
 
     def rows(self, field: str) -> NDArray[np.int32]:
-        """Return the rows of a field of a Model, SimState or Control, such as joint_q, body_qd or
-        ctrl.
+        """Return the selected row indices of a field such as joint_q, body_qd or ctrl.
+
+        The field belongs to a Model, SimState or Control.
         """
         return getattr(self, self._kind(field))  # type: ignore[no-any-return]
 
     def view(self, owner: Any, field: str) -> RowsView:
-        """Return the rows of a field as a view, for reading and writing in place."""
+        """Return a view of the selected rows of `owner.field`, for reading and writing in place."""
         kind = self._kind(field)
         rows = getattr(self, kind)
         array = getattr(owner, field)
@@ -84,11 +87,11 @@ class Selection:
         return RowsView(array, rows)
 
     def get(self, owner: Any, field: str) -> NDArray[Any]:
-        """Return a copy of the rows of a field."""
+        """Return a copy of the selected rows of `owner.field`."""
         return self.view(owner, field)[...]
 
     def set(self, owner: Any, field: str, values: ArrayLike) -> None:
-        """Write the rows of a field; values are broadcast to the shape of `get`."""
+        """Write the selected rows of `owner.field`; values are broadcast to the shape of `get`."""
         self.view(owner, field)[...] = values
 
     @staticmethod
@@ -108,11 +111,11 @@ class Selection:
 
 
 class RowsView:
-    """Rows of an array: view[key] reads the present values, and view[key] = values writes them.
+    """Selected rows of an array: view[key] reads current values, view[key] = values writes them.
 
-    A key is a NumPy key for the shape of the view. np.asarray(view) copies all values. On the CPU
-    only the values of the key are copied. Tapes compare the contents of an array that is written
-    this way, as after array.numpy(copy=False, writable=True).
+    A key is a NumPy index for the shape of the view. np.asarray(view) copies all values. On the CPU
+    view[key] copies the values of the key only. A tape detects writes through the view by the
+    contents of the array, as after array.numpy(copy=False, writable=True).
     """
 
     def __init__(self, array: _core.DeviceArray, rows: NDArray[np.int32]) -> None:
@@ -120,7 +123,7 @@ class RowsView:
         shape = array.shape[1:]
         width = int(np.prod(shape))
         places = rows[..., None] * np.int64(width) + np.arange(width)
-        self._places = places.reshape(*rows.shape, *shape)  # in the flat array
+        self._places = places.reshape(*rows.shape, *shape)  # indices into the flattened array
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -171,7 +174,7 @@ class _Names:
         owner = dict(zip(model.joint_child.numpy().tolist(), names, strict=True))
         joint_of = np.searchsorted(self.starts["dofs"], model.actuator_dof.numpy(), "right") - 1
         for k in np.flatnonzero(model.actuator_dof.numpy() < 0):
-            body = model.actuator_body.numpy()[k].max()  # one of both may be the world
+            body = model.actuator_body.numpy()[k].max()  # one of the two bodies may be the world
             joint_of[k] = model.joint_child.numpy().tolist().index(body)
 
         def matches(label: str, articulation: str, of_world: int) -> bool:
@@ -202,7 +205,7 @@ class _Names:
         }  # fmt: skip
 
     def rows(self) -> list[tuple[NDArray[np.int32], NDArray[np.int32]]]:
-        """Return rows and their worlds: of joints, bodies, shapes, actuators, coords and dofs."""
+        """Return (rows, world of each row) of joints, bodies, shapes, actuators, coords, dofs."""
         pairs = [(rows, self.world[kind][rows]) for kind, rows in self.found.items()]
         joints = self.found["joint"]
         for starts in self.starts.values():

@@ -19,16 +19,17 @@ from .viewer._model_scene import SURFACE_COLOR, boundary_triangles
 from .viewer._scene import f32
 
 FPS = 60.0
-STEPS = 8  # of the solver in a frame
-OVERLAP = 0.01  # of the radius of the smaller shape: less is no overlap
-UNLIMITED = 1e6  # rad or m: a limit beyond is none
-REACH = {"rad": math.pi, "m": 1.0}  # of the slider of a joint without limits
+STEPS = 8  # solver steps per frame
+OVERLAP = 0.01  # least reported overlap, as a part of the radius of the smaller shape
+UNLIMITED = 1e6  # rad or m: a joint limit above this value counts as no limit
+REACH = {"rad": math.pi, "m": 1.0}  # range (+-) of the slider of a joint without limits
 
 
 class Puppet:
-    """A robot whose pose follows sliders of joints. Moving a control starts its simulation.
+    """A robot that the user poses with joint sliders, or simulates with control sliders.
 
-    Moving a joint slider stops the simulation.
+    Moving a control slider starts the simulation. Moving a joint slider stops the simulation and
+    sets the pose.
     """
 
     def __init__(self, model: _core.Model, add_slider: Callable[..., Slider]) -> None:
@@ -36,8 +37,8 @@ class Puppet:
         self.model, self.control = model, model.control()
         self.state, self._after = model.state(), model.state()
         self._q, ctrl = model.joint_q.numpy(), model.ctrl.numpy()
-        model.shape_gap.fill_(0.0)  # contacts of what touches alone
-        plain = _core.ShapeConfig()  # the solver reads no torsional and rolling friction
+        model.shape_gap.fill_(0.0)  # report contacts of touching shapes only
+        plain = _core.ShapeConfig()  # the solver supports no torsional and rolling friction
         model.shape_material_mu_torsional.fill_(plain.mu_torsional)
         model.shape_material_mu_rolling.fill_(plain.mu_rolling)
         self._pipeline = _core.CollisionPipeline(model)
@@ -51,7 +52,7 @@ class Puppet:
             row: slider(name, low, high, self._q[row])
             for row, name, low, high in joint_ranges(model)
         }
-        # Rotation vectors of BALL joints, by the row of the quaternion.
+        # The row of each BALL joint's quaternion in joint_q, with sliders for its rotation vector.
         self.balls = {
             row: [slider(f"{name} {axis} (rad)", -most, most, x) for axis, x in zip("xyz", at)]
             for row, name, most, at in ball_ranges(model)
@@ -99,7 +100,7 @@ class Puppet:
             _core.eval_fk(model, state.joint_q, state.joint_qd, state)
         state.act.assign(model.act)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # overlaps are told by their names
+            warnings.simplefilter("ignore")  # overlaps() reports overlaps with the shapes' names
             self._pipeline.collide(state, self.contacts)
 
     def _move(self) -> None:
@@ -117,8 +118,9 @@ class Puppet:
             self.moves = False
 
     def overlaps(self) -> list[tuple[str, str, float]]:
-        """Return pairs of overlapping shapes, as "shape of body", with their depth (m), deepest
-        first.
+        """Return the pairs of overlapping shapes, deepest first.
+
+        A pair has two texts, "shape" of "body", and the depth of the overlap (m).
         """
         names, radius = shape_names(self.model), self.model.shape_collision_radius.numpy()
         deepest: dict[tuple[int, int], float] = {}
@@ -132,8 +134,8 @@ class Puppet:
 
 
 def shape_names(model: _core.Model) -> list[str]:
-    """Return the labels of every shape with its body."""
-    bodies = [*model.body_label, "the world"]  # -1 is the last one
+    """Return a text for every shape: "shape label" of "body label"."""
+    bodies = [*model.body_label, "the world"]  # body -1 is the last entry
     labels = zip(model.shape_label, model.shape_body.numpy(), strict=True)
     return [f'"{label}" of "{bodies[body]}"' for label, body in labels]
 
@@ -152,7 +154,7 @@ def show_robot(args: argparse.Namespace) -> str:
                 setattr(viewer, f"show_{what}", True)
         puppet = Puppet(model, stage.add_slider)
         for turn in stage.turns():
-            if turn == 0:  # also after a reset
+            if turn == 0:  # the first pass, and the first pass after a reset
                 puppet.reset()
             puppet.turn()
             if turn == 0:
@@ -167,7 +169,7 @@ def show_robot(args: argparse.Namespace) -> str:
 def camera_look(
     model: _core.Model, robot: _core.io.RobotImport, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the initial position of a camera of a robot's file, and a point in front of it (m)."""
+    """Return the initial position of a camera in a robot's file, and a point in front of it (m)."""
     if name not in robot.cameras:
         names = ", ".join(robot.cameras) or "none"
         raise ValueError(f"--camera: expected a camera of the file ({names}), got {name}")
@@ -185,7 +187,7 @@ def camera_look(
 
 
 def control_ranges(model: _core.Model) -> Iterator[tuple[str, float, float]]:
-    """Yield the name and range of every control."""
+    """Yield the name, lowest and highest value of every control."""
     labels, ranges = model.actuator_label, model.actuator_ctrl_range.numpy()
     for label, (low, high) in zip(labels, ranges.tolist(), strict=True):
         is_limited = -UNLIMITED < low < high < UNLIMITED
@@ -193,14 +195,17 @@ def control_ranges(model: _core.Model) -> Iterator[tuple[str, float, float]]:
 
 
 def joint_ranges(model: _core.Model) -> Iterator[tuple[int, str, float, float]]:
-    """Yield the row of joint_q, name and range (rad, m) of every coordinate with a slider."""
+    """Yield the row of joint_q, name and range (rad, m) of every coordinate with a slider.
+
+    Coordinates of quaternions have none (see ball_ranges).
+    """
     labels, axes = model.joint_label, model.joint_dof_dim.numpy()
     rows, dofs = model.joint_q_start.numpy(), model.joint_qd_start.numpy()
     lower, upper = model.joint_limit_lower.numpy(), model.joint_limit_upper.numpy()
     for joint, (linear, angular) in enumerate(axes):
         count = linear + angular
         if rows[joint + 1] - rows[joint] != count:
-            continue  # a quaternion
+            continue  # coordinates that include a quaternion have no slider here
         for k in range(count):
             unit = "m" if k < linear else "rad"
             low, high = float(lower[dofs[joint] + k]), float(upper[dofs[joint] + k])
@@ -211,11 +216,11 @@ def joint_ranges(model: _core.Model) -> Iterator[tuple[int, str, float, float]]:
 
 
 def ball_ranges(model: _core.Model) -> Iterator[tuple[int, str, float, list[float]]]:
-    """Yield row of joint_q, name, largest angle and rotation vector (rad) of every BALL joint."""
+    """Yield row in joint_q, name, largest angle and rotation vector (rad) of every BALL joint."""
     rows, dofs = model.joint_q_start.numpy(), model.joint_qd_start.numpy()
     upper, q = model.joint_limit_upper.numpy(), model.joint_q.numpy().astype(float)
     for joint in range(model.joint_count):
-        if rows[joint + 1] - rows[joint] != 4:  # a quaternion alone
+        if rows[joint + 1] - rows[joint] != 4:  # the coordinates are not one quaternion
             continue
         *v, w = q[rows[joint] : rows[joint] + 4] * (-1.0 if q[rows[joint] + 3] < 0 else 1.0)
         sine = math.hypot(*v)

@@ -1,8 +1,8 @@
 """``python -m novaphy.backend_check dlan``: checks whether a backend works on this machine.
 
-The program is for owners of a Denglin card. The program compiles missing kernels and runs the
-conformance suite and demos. The states of the demos must have the bits of the CPU. The output is
-also written to a report.
+This program is for owners of a Denglin card. The program compiles missing kernels, and runs the
+conformance suite and demos. The states of the demos must have the same bits as on the CPU. The
+output is also written to a report.
 """
 
 from __future__ import annotations
@@ -33,8 +33,7 @@ VARIABLES = (
     "NOVAPHY_DLAN_FLAGS",
     "DLICC_PATH",
 )
-# The number of iterations or frames of each demo. In demos with falling objects, the objects then
-# touch something.
+# The number of iterations or frames of each demo, enough for falling objects to touch something.
 DEMOS = {"ball": 3, "soft_body": 3, "cloth": 5, "dice": 3, "rigid_drop": 30, "vbd": 15}
 DEVICE = """
 import novaphy
@@ -55,12 +54,12 @@ class Report:
         self.failed: list[str] = []
 
     def say(self, text: str) -> None:
-        """Print lines and add them to the report."""
+        """Print a text and add it to the report."""
         self.lines.append(text)
         print(text, flush=True)
 
     def result(self, what: str, problem: str = "") -> None:
-        """Add the result of one check: passed, or the problem."""
+        """Add the result of the check named `what`: passed, or the problem if there is one."""
         self.say(f"[{'FAILED' if problem else 'passed'}] {what}{': ' if problem else ''}{problem}")
         if problem:
             self.failed.append(what)
@@ -88,13 +87,13 @@ class Report:
 
 
 def plugin() -> Path | None:
-    """Return the path of the plugin, even if the plugin cannot be used."""
+    """Return the path of the dlan plugin, even if the plugin is not usable. None: no plugin."""
     found = [Path(b.path) for b in novaphy.backends() if b.path and b.name == "dlan"]
     return found[0] if found else None
 
 
 def find_compiler() -> str:
-    """Return the dlcc compiler that compile.sh uses, or an empty text."""
+    """Return the path of the compiler dlcc that compile.sh uses; "": not found."""
     places = [
         os.environ.get("NOVAPHY_DLAN_DLCC", ""),
         os.path.join(os.environ.get("DLICC_PATH", "/nowhere"), "dlcc"),
@@ -105,7 +104,7 @@ def find_compiler() -> str:
 
 
 def compile_kernels(report: Report, sources: Path, kernels: Path) -> bool:
-    """Compile the sources beside the plugin into a library of kernels."""
+    """Compile the .cu files in `sources` into the library `kernels`. Return whether it worked."""
     files = sorted(sources.glob("*.cu"))
     if not files:
         report.result("kernels compile", f"no sources in {sources}")
@@ -115,7 +114,7 @@ def compile_kernels(report: Report, sources: Path, kernels: Path) -> bool:
 
 
 def compare_demo(report: Report, name: str, iterations: int) -> None:
-    """Compare the states of a demo on the device with those on the CPU."""
+    """Compare the bits of a demo's states on the device and on the CPU."""
     path = demos().get(name)
     if path is None:
         report.result(f"demo {name}", "it is not installed")

@@ -3,7 +3,7 @@
     step = novaphy.jax.wrap(lambda q: ..., (3,))   # nova Tensors in, nova Tensors out
     jax.grad(lambda q: step(q).sum())(q)           # JAX arrays in and out
 
-Needs JAX, which NovaPhy does not install.
+The module needs JAX, which NovaPhy does not install.
 """
 
 from __future__ import annotations
@@ -37,20 +37,20 @@ def wrap(
     """Convert a function of nova Tensors to a function of JAX arrays with gradients.
 
     Args:
-        function: takes nova Tensors and returns one or several: any step, rollout or loss made of
-            recorded operations. The function must be pure. JAX may call the function at any time.
-            The backward pass calls it again on a tape, because JAX stores arrays but no tapes.
-        result: the shape of the result, or a list of shapes.
+        function: takes nova Tensors and returns one Tensor or several, by any recorded operations.
+            The function must be pure, because JAX may call it at any time. The backward pass calls
+            the function again, on a tape, because JAX cannot store a tape.
+        result: the shape of the result, or a list with the shape of each result.
 
     Returns:
-        A `jax.custom_vjp` of equally many float32 arrays. The function can be used in jit (as a
-        `jax.pure_callback`), in vmap (one call after the other) and in grad, for first derivatives.
-        Input arrays are copied, because JAX arrays may not be written to. A result that depends on
-        no input has the gradient 0.
+        A `jax.custom_vjp` with the same number of arguments and results, as float32 JAX arrays.
+        The function works in jit (as a `jax.pure_callback`), in vmap (one call after the other) and
+        in grad. Only first derivatives are supported. Input arrays are copied, because JAX arrays
+        are read-only. The gradient of a result that depends on no input is 0.
 
     Raises:
         ImportError: JAX is not installed.
-        TypeError: an argument is not float32. Inside of jit JAX wraps the error.
+        TypeError, ValueError: an argument is not float32, or a result has a wrong shape.
     """
     jax = _jax()
     shapes = _shapes(result)
@@ -72,7 +72,7 @@ def wrap(
 
     def pull(values: Any, gradients: Any) -> tuple[np.ndarray, ...]:
         inputs = [nova.tensor(_float32(value), requires_grad=True) for value in values]
-        with nova.Tape() as tape:  # with inputs among the results as copies that it recorded
+        with nova.Tape() as tape:  # clone() records a result that is also an input
             made = [tensor.clone() if tensor.is_leaf else tensor for tensor in outputs(inputs)]
         for tensor, gradient in zip(made, gradients, strict=True):
             if tape.follows(tensor) and np.any(gradient):
@@ -110,7 +110,7 @@ def _shapes(result: Sequence[Any]) -> list[tuple[int, ...]]:
 
 
 def _float32(value: Any) -> np.ndarray:
-    """Return a copy on the host; TypeError unless float32."""
+    """Return a copy of a JAX array on the host. TypeError: the array is not float32."""
     array = np.array(value)
     if array.dtype != np.float32:
         raise TypeError(f"expected a float32 array, got {array.dtype}")

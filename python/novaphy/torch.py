@@ -4,7 +4,7 @@
     loss = step(q, qd).sum()                       # torch tensors in and out
     loss.backward()
 
-Needs PyTorch, which NovaPhy does not install.
+The module needs PyTorch, which NovaPhy does not install.
 """
 
 from __future__ import annotations
@@ -77,17 +77,17 @@ def _forward(ctx: Any, function: Callable[..., Any], call: list[_Call], *values:
 def _backward(ctx: Any, *gradients: Any) -> Any:
     """Compute the gradients of the inputs by the tape of the forward pass."""
     torch = _torch()
-    if torch.is_grad_enabled():  # create_graph: the gradient would count as a constant
+    if torch.is_grad_enabled():  # create_graph=True: torch would treat the gradient as a constant
         raise NotImplementedError("novaphy.torch: expected one derivative, got create_graph=True")
     made, wanted = ctx.call, ctx.needs_input_grad[2:]
-    _ = ctx.saved_tensors  # raises when one was written to since
+    _ = ctx.saved_tensors  # raises if an input was written to after the forward pass
     for tensor, needs in zip(made.inputs, wanted, strict=True):
         if needs:
             tensor.zero_grad()
     for output, gradient in zip(made.outputs, gradients, strict=True):
         if gradient is not None and made.tape.follows(output):
             made.tape.backward(output, nova.from_dlpack(gradient.detach().contiguous()))
-    # Copies: the next backward pass of the same call writes there again.
+    # The gradients are copied, because the next backward pass of this call reuses their memory.
     found = (
         torch.from_dlpack(tensor.grad).clone() if needs and tensor.grad is not None else None
         for tensor, needs in zip(made.inputs, wanted, strict=True)
@@ -95,7 +95,7 @@ def _backward(ctx: Any, *gradients: Any) -> Any:
     return None, None, *found
 
 
-_classes: list[Any] = []  # the torch.autograd.Function of all wrapped functions, once it is needed
+_classes: list[Any] = []  # the one torch.autograd.Function class, created at the first use
 
 
 def _recorded() -> Any:
@@ -110,23 +110,24 @@ def wrap(function: Callable[..., Any]) -> Callable[..., Any]:
     """Convert a function of nova Tensors to a function of torch tensors with gradients.
 
     Args:
-        function: takes nova Tensors and returns one or several: any step, rollout or loss made of
-            recorded operations. Every call runs the function on a new tape. The objects behind the
-            results (a Trajectory, states) must not change before the backward pass, so create them
-            inside of the function. Values other than the arguments are constants.
+        function: takes nova Tensors and returns one Tensor or several. Any step, rollout or loss
+            of recorded operations is possible. Every call runs the function on a new tape. The
+            objects behind the results (a Trajectory, states) must not change before the backward
+            pass, so create them inside of the function. Values other than the arguments are
+            constants.
 
     Returns:
-        A function of equally many float32 torch tensors on the same device. The function returns a
-        torch tensor or a tuple of them.
+        A function with the same number of arguments, as float32 torch tensors on one device. The
+        function returns a torch tensor, or a tuple of torch tensors.
 
         Inputs and results share memory with the nova Tensors, without a copy. Two kinds of inputs
-        are copied: those that are not contiguous, and those that are also results if a gradient is
-        needed.
+        are copied: inputs that are not contiguous, and inputs that the function returns as results
+        if a gradient is needed.
 
-        Gradients are those of the tape, with its labels (exact, surrogate, frozen). A result that
-        depends on no input has the gradient 0. Only first derivatives are supported;
-        create_graph=True raises NotImplementedError. A backward pass raises an error if memory that
-        it needs was overwritten.
+        The tape computes the gradients, so its labels (exact, surrogate, frozen) hold. The gradient
+        of a result that depends on no input is 0. Only first derivatives are supported:
+        create_graph=True raises NotImplementedError. A backward pass raises an error if an input,
+        or other memory that the tape needs, was overwritten.
 
     Raises:
         ImportError: PyTorch is not installed.

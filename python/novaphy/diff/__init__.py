@@ -1,7 +1,7 @@
 """Differentiable operators, tensor views of states and models, losses, Trajectory.
 
-Tensors in and out are nova.Tensor, float32. Views are the arrays' own memory: the same
-(object, field) gives the same Tensor, so a gradient is found again where it was recorded.
+Arguments and results are float32 nova.Tensors. A view shares the memory of an array. Repeated calls
+for a field of an object return the same Tensor, so its `.grad` has the recorded gradient.
 """
 
 from .._require import require_diff

@@ -1,4 +1,4 @@
-"""A certificate of a gradient: what it agrees with, how far it holds, and what it costs."""
+"""Certificates: a gradient is compared with differences and samples, and gets a verdict."""
 
 from __future__ import annotations
 
@@ -20,36 +20,45 @@ if TYPE_CHECKING:
     from .._core.solvers import GradientInfo
     from ._parameters import Function, Numbers, Sigma, Theta
 
-PART = 0.25  # the spread of samples, in sigmas
-EVENT_STEP = 0.1  # sigmas
+PART = 0.25  # standard deviation of the samples, in sigmas
+EVENT_STEP = 0.1  # sigmas: how far worlds are moved to difference their events
 MOST_DIRECTIONS = 8
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Certificate:
-    """The worth of a gradient at one point. All derivatives are per sigma: g_i sigma_i.
+    """A verdict on a gradient at one point, with the numbers behind the verdict.
 
-    verdict, sentence: the verdict, and its reason. The first that holds:
-      the loss does not change within one sigma: "zero".
-      settled differences, or the slope of samples, are within 20 % of it: "of the motion". But no
-        component of more than 2 % may have another sign than settled differences.
-      differences or samples settle at another slope: "biased".
-      the gradient is right for small moves only, as over 0.01 sigma: "local".
-      neither differences nor gradients of samples settle: "chaotic".
+    All derivatives are per sigma: a derivative by parameter i is multiplied by sigma_i.
+
+    verdict, sentence: the verdict, and its reason. The first verdict that holds is taken:
+
+      * Verdict "zero": the loss does not change within one sigma.
+      * Verdict "of the motion": settled differences of the loss, or the slope of the samples, are
+        within 20 % of the gradient. Differences settle if those over 0.3 and 0.1 sigma agree. A
+        component above 2 % of the gradient may not have the opposite sign of settled differences.
+
+      * Verdict "biased": differences or samples settle at another slope.
+      * Verdict "local": the gradient is right for small moves only, such as 0.01 sigma.
+      * Verdict "chaotic": neither the differences nor the gradients of the samples settle.
+
     info: the GradientInfo of the gradient, or None without a solver.
     loss, worlds: the loss, and the number of samples.
-    gradient, code_gradient: {n}; code_gradient is None unless f takes `contact_gradient`.
-    directions, steps, differences: central differences {4, m} along directions {m, n} over steps
-    {4} (sigmas).
-    disagreements: {4}, the distance of gradient and differences, relative to the longer one.
-    smoothed, standard_error: {n}, the zeroth-order gradient of samples at a quarter of sigma.
-    cosine, length: the cosine and the length of the gradient relative to the smoothed gradient.
-    tail: the longest gradient of the samples in units of the median length.
+    gradient, code_gradient: {n}, the gradient, and the gradient with contact_gradient="code" (None
+      unless f takes `contact_gradient`).
+    directions, steps, differences: central differences {4, m} of the loss along unit directions
+      {m, n} over steps {4} (sigmas).
+    disagreements: {4}, the distance of gradient and differences, relative to the longer vector.
+    smoothed, standard_error: {n}, the zeroth-order gradient from samples of deviation 0.25 sigma.
+    cosine, length: the cosine of the angle between gradient and smoothed gradient, and the ratio of
+      their lengths.
+    tail: the length of the longest sample gradient in units of the median length.
     margins: rows (what, step, pair, sigmas): how far the parameters may move until events change.
-    trust_radius, limited_by: how far the order of events holds downhill (sigmas), and what ends it;
-      None without a list of events.
-    steps_per_contact: the steps of a touch of the stiffest penalty contact; inf without one.
-    cost, seconds: the time of the whole certificate in gradients, and of one gradient.
+    trust_radius, limited_by: how far the parameters may move downhill (sigmas) until the order of
+      events changes, and the event that changes. None without a list of events.
+    steps_per_contact: for how many steps the stiffest penalty contact pushes; inf without one.
+    cost, seconds: the time of the certificate in units of one gradient, and the time of one
+      gradient (s).
     """
 
     verdict: str
@@ -93,7 +102,7 @@ class Certificate:
         """Write the picture as .html, which needs no package, or as .png, which needs Matplotlib.
 
         Raises:
-            ValueError: another ending.
+            ValueError: the path has another extension.
             ImportError: Matplotlib is not installed.
         """
         from ._certificate_view import save
@@ -110,7 +119,7 @@ class _Measured(NamedTuple):
     differences: Numbers
     noise: Numbers
     samples: Slopes
-    w: Numbers  # the offsets of the samples
+    w: Numbers  # {worlds, n}: the normal offsets of the samples, variance 1
     events: Trust | None
 
 
@@ -121,23 +130,25 @@ def certify(
 
     Args:
         f: maps parameters {worlds, n} to losses {worlds}, a Tensor. For a dict theta, f takes a
-            dict of tensors {worlds, ...}. f is called with one row and with many, and gives the
-            same bits for the same rows. An f with the argument `contact_gradient` is also called
-            with contact_gradient="code", for the gradient of the code.
+            dict of tensors {worlds, ...}. The number of worlds differs between calls, and f must
+            give the same bits for the same rows. If f has an argument `contact_gradient`, f is also
+            called with contact_gradient="code".
         theta: the parameters: {n} or {1, n}, or a dict of entries of any shape, float32.
-        sigma: how far the parameters will move, in the units of theta: a number, or the shape of
-            theta.
-        worlds: the number of samples, even.
+        sigma: how far the parameters will move, in the units of theta: a number, or an array of
+            theta's shape.
+        worlds: the number of samples, an even number.
         seed: the seed of directions and samples.
 
     Returns:
-        The Certificate. Its table is printed by `print()`.
+        The Certificate. `Certificate.print()` prints the certificate as a table.
 
     Raises:
         TypeError: theta is not float32, or f returns no Tensor.
-        ValueError: two calls of f with the same parameters differ; no parameter; no gradient path.
+        ValueError: two calls of f with the same parameters differ, theta has no parameter, or the
+            losses do not depend on theta by recorded operations.
         ValueError: sigma is not positive, not finite or of another shape.
-        ValueError: losses of another shape, or not finite (with the row); a call inside of no_grad.
+        ValueError: losses have another shape or are not finite (the message has the row), or the
+            call is inside of no_grad.
     """
     check_worlds("certify", worlds)
     if not grad_enabled():
@@ -198,7 +209,7 @@ def _certificate(of: _Measured, cost: float, seconds: float) -> Certificate:
 
 
 def _gradient(losses_of: Losses) -> tuple[Slopes, float]:
-    """Return the gradient at theta and its time; ValueError where a second call differs."""
+    """Return loss and gradient at theta and the time of one (s). ValueError: two calls differ."""
     here, found, times = np.zeros((1, losses_of.parameters.size)), [], []
     for _ in range(2):
         began = perf_counter()
@@ -214,7 +225,10 @@ def _gradient(losses_of: Losses) -> tuple[Slopes, float]:
 
 
 def _directions(gradient: Numbers, seed: int) -> Numbers:
-    """Return unit vectors {m, n}: the axes of up to 8 parameters, else downhill and others."""
+    """Return orthogonal unit vectors {m, n}: the axes of up to 8 parameters, else 8 directions.
+
+    The first of the 8 directions is against the gradient, and the others are random.
+    """
     n = len(gradient)
     if n <= MOST_DIRECTIONS:
         return np.eye(n)
@@ -226,12 +240,12 @@ def _directions(gradient: Numbers, seed: int) -> Numbers:
 
 
 def _differences(losses_of: Losses, directions: Numbers) -> tuple[Numbers, Numbers]:
-    """Return central differences {4, m} per sigma, and their rounding {4}."""
+    """Return central differences {4, m} of the loss per sigma, and their rounding errors {4}."""
     m, n = directions.shape
     steps, signs = np.array(STEPS)[:, None, None, None], np.array([1.0, -1.0])[:, None]
     moves = (steps * signs * directions[:, None, :]).reshape(-1, n)
     losses = losses_of.values(moves).reshape(len(STEPS), m, 2)
-    # Parameters are float32, so their actual change differs a little from the step.
+    # Parameters are rounded to float32, so the actual change is used, not the step.
     points = losses_of.points(moves).astype(np.float64).reshape(len(STEPS), m, 2, n)
     moved = (points[:, :, 0] - points[:, :, 1]) / losses_of.parameters.sigma
     length = np.einsum("emn,mn->em", moved, directions)
@@ -240,17 +254,18 @@ def _differences(losses_of: Losses, directions: Numbers) -> tuple[Numbers, Numbe
 
 
 def _samples(losses_of: Losses, worlds: int, seed: int) -> tuple[Slopes, Numbers]:
-    """Return losses and gradients of antithetic samples at a part of sigma, and the samples."""
+    """Return losses and gradients of antithetic samples theta + PART sigma w, and the w."""
     w = draw(worlds, losses_of.parameters.size, seed, True)
     return losses_of.slopes(PART * w), w
 
 
 def _smooth_slope(losses: Numbers, w: Numbers, gradient: Numbers) -> tuple[Numbers, Numbers]:
-    """Return the zeroth-order gradient {n} of antithetic samples, and its standard error.
+    """Return the zeroth-order gradient {n} of antithetic samples, and its standard error {n}.
 
-    The population slope of normal samples is the smoothed gradient (Stein's lemma). Up to one
-    parameter per two pairs, least squares has far less noise than the mean of products. With more,
-    the gradient is the control variate of that mean.
+    The slope of the loss over infinitely many normal samples is the smoothed gradient (Stein's
+    lemma). With at least two pairs of samples per parameter, the slope is fitted by least squares,
+    which has far less noise than the mean of loss times w. With fewer pairs the mean is used, with
+    the gradient as control variate.
     """
     rises, w = 0.5 * (losses[0::2] - losses[1::2]) / PART, w[0::2]
     pairs, n = w.shape
@@ -263,14 +278,14 @@ def _smooth_slope(losses: Numbers, w: Numbers, gradient: Numbers) -> tuple[Numbe
 
 
 def _events(losses_of: Losses, at: Slopes, directions: Numbers) -> Trust | None:
-    """Return how far the events hold; None where the solver lists no events."""
+    """Return how far the parameters may move until events change; None: no list of events."""
     if at.info is None or not at.info.event_list:
         return None
     signs = np.array([1.0, -1.0])[:, None]
     moves = (EVENT_STEP * signs * directions[:, None, :]).reshape(-1, directions.shape[1])
     try:
         moved = losses_of.slopes(moves).info
-    except Error as error:  # such as contacts that have not converged
+    except Error as error:  # for example, the contact solver has not converged
         return Trust([], None, f"unknown: {error}", None)
     rows = by_world(moved.event_list if moved is not None else [], len(moves))
     slope = at.gradients[0]

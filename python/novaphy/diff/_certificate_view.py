@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ..nova import AdjointRecord
     from ._certificate import Certificate
 
-SHOWN = 8  # rows of parameters and of margins
+SHOWN = 8  # largest number of rows of directions, and of margins
 GOOD, BAD, WEAK = "#1a7f37", "#c62828", "#9a6700"
 SHADES = ("#c6dbef", "#6baed6", "#2171b5", "#08306b")  # colors of the differences, wide to narrow
 WIDTH, HEIGHT, LEFT, TOP, BOTTOM = 880, 420, 70, 70, 60
@@ -26,7 +26,7 @@ def _number(x: float) -> str:
 
 
 def rows_of_derivatives(of: Certificate) -> list[list[str]]:
-    """Return a heading, and a row of each direction."""
+    """Return rows of texts: the head of the table, then the derivatives along each direction."""
     head = ["direction", "gradient", *(f"over {e:g}" for e in of.steps), "smoothed", "error"]
     if of.code_gradient is not None:
         head.append("code")
@@ -48,7 +48,7 @@ def rows_of_derivatives(of: Certificate) -> list[list[str]]:
 
 
 def rows_of_facts(of: Certificate) -> list[list[str]]:
-    """Return pairs of a name and a text."""
+    """Return rows (name, text) with the other numbers of a certificate."""
     facts = [["loss", _number(of.loss)]]
     if of.info is not None:
         facts += [["label", of.info.label], ["reason", of.info.reason]]
@@ -91,7 +91,7 @@ def text(of: Certificate) -> str:
 
 
 class _Svg:
-    """Draws as a scalable picture."""
+    """Draws lines, dots and texts as SVG."""
 
     def __init__(self) -> None:
         self.parts: list[str] = []
@@ -126,7 +126,7 @@ class _Svg:
 
 
 class _Figure:
-    """Draws with Matplotlib."""
+    """Draws lines, dots and texts with Matplotlib."""
 
     def __init__(self) -> None:
         try:
@@ -214,7 +214,10 @@ WRITERS: dict[str, Callable[[Any, Path, Any], None]] = {".html": _save_page, ".p
 def save(
     of: Certificate, path: str | os.PathLike[str], record: AdjointRecord | None = None
 ) -> None:
-    """Write the picture, and the record on a page; ValueError names the endings that there are."""
+    """Write the picture as .html or .png. A page also shows the adjoint record, if given.
+
+    ValueError: the path has another extension.
+    """
     to = Path(path)
     if to.suffix.lower() not in WRITERS:
         raise ValueError(f"Certificate.save, path: expected .html or .png, got {to}")

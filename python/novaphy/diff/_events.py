@@ -1,9 +1,10 @@
 """How far parameters may move until events change their order or vanish.
 
-Source: the trust radius of saltation matrices. An event i has the time t_i and the approach speed
-a_i. Along a direction u both change by their slopes. The order of two events changes at
-|t_i - t_j| / |dt_i - dt_j|, and an event vanishes at |a_i| / |da_i|, in units of sigma. The slopes
-are central differences of the events of worlds that are moved by ± step sigma.
+Event i has the time t_i and the approach speed a_i. When the parameters move along a direction,
+t_i and a_i change with the slopes dt_i and da_i. Two events i and j change their order after a move
+of |t_i - t_j| / |dt_i - dt_j|. An event vanishes after a move of |a_i| / |da_i|. Moves are in units
+of sigma. The slopes are central differences of events in worlds that are moved by ± step sigma.
+Source: the trust radius of saltation matrices.
 """
 
 from __future__ import annotations
@@ -19,21 +20,21 @@ Event = dict[str, Any]
 
 
 class Margin(NamedTuple):
-    """The least move of the parameters that changes an event."""
+    """The smallest move of the parameters that changes an event, in any direction."""
 
     what: str
-    step: int  # the step of the event
+    step: int  # the time step of the event
     pair: str
     sigmas: float
 
 
 class Trust(NamedTuple):
-    """Margins in ascending order; how far the gradient holds downhill, and why no further."""
+    """Margins of events in ascending order, and how far the parameters may move downhill."""
 
     margins: list[Margin]
-    radius: float | None  # sigmas; inf where nothing limits, None where it is unknown
+    radius: float | None  # sigmas downhill; inf: no event limits the move, None: unknown
     limited_by: str
-    shift: float | None  # the largest move of the time of an event, steps per sigma
+    shift: float | None  # largest change of an event's time, in time steps per sigma
 
 
 def pair_of(event: Event) -> str:
@@ -47,7 +48,11 @@ def pair_of(event: Event) -> str:
 
 
 def _signature(events: list[Event]) -> list[tuple[Any, ...]]:
-    """Return kinds and pairs in order; numbers of shapes count from the least of the world."""
+    """Return the kind and pair of each event, for comparison between worlds.
+
+    Indices of shapes, joints and particles are replaced by their rank among the events, so that
+    equal worlds have equal signatures.
+    """
     found = []
     for key in ("shape0", "shape1", "joint", "particle"):
         numbers = sorted({e[key] for e in events if e.get(key, -1) >= 0})
@@ -64,17 +69,17 @@ def by_world(events: list[Event], worlds: int) -> list[list[Event]]:
 
 
 def trust(base: list[Event], moved: list[list[Event]], step: float, downhill: Numbers) -> Trust:
-    """Return the margins of the events of a motion.
+    """Return how far the parameters may move until the events of a motion change.
 
     Args:
         base: the events of the motion.
         moved: the events of worlds that are moved by +step and -step along direction 0, then along
             direction 1, and so on.
-        step: the move, sigmas.
-        downhill: the parts {directions} of the unit vector against the gradient.
+        step: the size of the moves (sigmas).
+        downhill: the components {directions} of the unit vector against the gradient.
     """
     signature, changes = _signature(base), []
-    slopes = np.full((len(moved) // 2, 2, len(base)), np.nan)  # slopes of the time and the approach
+    slopes = np.full((len(moved) // 2, 2, len(base)), np.nan)  # of time and approach speed
     for k in range(len(moved) // 2):
         plus, minus = moved[2 * k], moved[2 * k + 1]
         if _signature(plus) != signature or _signature(minus) != signature:

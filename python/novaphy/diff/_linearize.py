@@ -1,4 +1,4 @@
-"""The derivative of a step of articulations: x' = A x + B u."""
+"""linearize: the Jacobians A and B of a step of articulations, dx' = A dx + B du."""
 
 from __future__ import annotations
 
@@ -37,28 +37,28 @@ def linearize(
     contacts: Contacts | None = None,
     inputs: str = "joint_f",
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the derivatives A, B of a step by its state and its input, for all worlds at once.
+    """Return the Jacobians A, B of a step: dx' = A dx + B du, for all worlds at once.
 
-    The state x of a world is (q, qd), with n degrees of freedom each. Columns and rows of q are
-    tangents: an angle or distance (rad, m); for a BALL a small rotation r (rad) in the frame of the
-    joint, q -> q + (r, 0) q / 2. A FREE joint has a displacement (m) of its origin, then such a
-    rotation. Each column is one pass of forward mode over all worlds.
+    The state before the step is x = (q, qd), the state after the step is x', and the input is u.
+    A world has n degrees of freedom, so dx has 2 n numbers: dq, then dqd. In dq, a hinge or slider
+    has a change of angle or distance (rad, m). A BALL joint has a small rotation r (rad) in the
+    joint frame, which changes the quaternion q to q + (r, 0) q / 2. A FREE joint has a displacement
+    of its origin (m), then a small rotation.
 
     Args:
-        solver: a DiffFeatherstoneSolver; its device runs the passes.
-        state: where to linearize; its forces act. The function does not write the state.
-        control: None: the model's.
+        solver: a DiffFeatherstoneSolver, whose device runs one forward-mode pass per column.
+        state: the state x with the forces that act. The function does not write the state.
+        control: the control of the step. None: the control of the model.
         dt: the time step (s).
-        contacts: those of the state, or None. Their points move as in `step`.
-        inputs: the input u: "joint_f" (N or N m, n columns), "joint_target_qd" (n columns) or
-            "joint_target_q" (a column for each coordinate).
+        contacts: the contacts of the state, or None. Contact points move as in `step`.
+        inputs: the input u: "joint_f" (N or N m), "joint_target_qd" or "joint_target_q".
 
     Returns:
-        A {worlds, 2 n, 2 n} and B {worlds, 2 n, m}, float32.
+        A {worlds, 2 n, 2 n} and B {worlds, 2 n, m}, float32, with m numbers of u in a world.
 
     Raises:
-        TypeError: another solver.
-        ValueError: no such input, or worlds whose joints differ.
+        TypeError: the solver is no DiffFeatherstoneSolver.
+        ValueError: an unknown input, or worlds whose joints differ.
     """
     if not isinstance(solver, DiffFeatherstoneSolver):
         raise TypeError(
@@ -80,7 +80,7 @@ def linearize(
     into, back = rows.coordinates(q.numpy()), rows.tangents(results[0].numpy())
 
     def column(k: int, direction: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the tangents {worlds, 2 n} of the next state in a direction of one input."""
+        """Return the tangents {worlds, 2 n} of the next state along a direction of of_inputs[k]."""
         tangents = [zeros_like(x) for x in of_inputs]
         tangents[k].assign(direction)
         moved_q, moved_qd = (t.numpy() for t in tape.jvp(results, of_inputs, tangents))
@@ -103,7 +103,7 @@ def linearize(
 
 
 class _Rows:
-    """Coordinates and degrees of freedom of each world."""
+    """Row indices of the coordinates (q) and degrees of freedom (qd) of each world."""
 
     def __init__(self, model: Model) -> None:
         worlds = model.joint_world.numpy()
@@ -118,7 +118,7 @@ class _Rows:
             raise ValueError("linearize: expected worlds of the same joints, at least one")
 
         def rows_of(start: NDArray[np.int32]) -> NDArray[np.int64]:
-            """Return the entries of the joints of every world, {worlds, count}."""
+            """Return the row indices {worlds, count} of the entries of every world's joints."""
             return np.array(
                 [[k for j in some for k in range(start[j], start[j + 1])] for some in joints], int
             )
@@ -134,7 +134,7 @@ class _Rows:
             at_q, at_qd = at_q + int(coordinates), at_qd + int(dofs)
 
     def coordinates(self, q: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the derivative of coordinates by tangents, {worlds, coordinates, n}."""
+        """Return the derivative of q by the tangents dq, {worlds, coordinates, n}."""
         result = np.zeros((*self.q.shape, self.qd.shape[1]), np.float32)
         for at_q, at_qd, dofs, turn in self.joints:
             for k in range(turn):
@@ -146,11 +146,11 @@ class _Rows:
         return result
 
     def tangents(self, q: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the derivative of tangents by coordinates, {worlds, n, coordinates}."""
+        """Return the derivative of the tangents dq by q, {worlds, n, coordinates}."""
         result = self.coordinates(q).transpose(0, 2, 1).copy()
         for at_q, at_qd, dofs, turn in self.joints:
             if turn < dofs:
-                # (r, 0) q / 2 has the length |r| / 2 in every direction.
+                # |(r, 0) q / 2| = |r| / 2, so the pseudo-inverse is 4 times the transpose.
                 result[:, at_qd + turn : at_qd + turn + 3, at_q + turn : at_q + turn + 4] *= 4.0
         return result
 

@@ -21,18 +21,21 @@ if TYPE_CHECKING:
 Numbers = NDArray[np.float64]
 Theta = Tensor | ArrayLike | Mapping[str, Tensor | ArrayLike]
 Sigma = ArrayLike | Mapping[str, ArrayLike]
-# Rows of parameters {worlds, ...} to losses {worlds}.
+# The user's function: maps rows of parameters {worlds, ...} to losses {worlds}.
 Function = Callable[..., Tensor]
 
 
 def normal_numbers(count: int, width: int, seed: int, stream: int = 0) -> Numbers:
-    """Return normal numbers {count, width}; each is keyed by seed, stream, row and column."""
+    """Return standard normal numbers {count, width}.
+
+    A number depends only on seed, stream, row and column.
+    """
     return random_normal((count, width), seed=seed, stream=stream).numpy().astype(np.float64)
 
 
 @contextmanager
 def outside_of_tapes() -> Iterator[Tape | None]:
-    """Suspend the active tape, so that others can record on this thread. Yields the tape."""
+    """Suspend the active tape, so that another tape can record. Yields the suspended tape."""
     tape = active_tape()
     if tape is not None:
         tape.__exit__(None, None, None)
@@ -118,7 +121,7 @@ class Parameters:
         return flat
 
     def rows(self, numbers: NDArray[np.float32], *, leaves: bool = False) -> Any:
-        """Return rows {worlds, n} as the argument of the function: a tensor, or a dict."""
+        """Return rows {worlds, n} in the form that f takes: a tensor, or a dict of tensors."""
         made, at = {}, 0
         for name, shape in self.shapes.items():
             width = int(np.prod(shape))
@@ -129,7 +132,7 @@ class Parameters:
         return made if self.named else made[""]
 
     def split(self, flat: NDArray[Any]) -> dict[str, NDArray[Any]]:
-        """Return the parts {...} of flat numbers {n}, by entry."""
+        """Return flat numbers {n} as a dict of arrays with the shapes of theta's entries."""
         ends = np.cumsum([int(np.prod(shape)) for shape in self.shapes.values()])
         parts = np.split(flat, ends[:-1])
         return {
@@ -151,7 +154,7 @@ class Slopes(NamedTuple):
 
 
 class Losses:
-    """The function of a user, called with rows of parameters, `batch` at a time."""
+    """The user's function f, called with at most `batch` rows of parameters at a time."""
 
     def __init__(self, f: Function, parameters: Parameters, batch: int | None = None) -> None:
         if batch is not None and batch < 1:
@@ -160,7 +163,7 @@ class Losses:
         self.user = parameters.user
 
     def of_the_code(self) -> Losses | None:
-        """Return these losses with contact_gradient="code"; None: f has no such argument."""
+        """Return the losses of f with contact_gradient="code"; None: f has no such argument."""
         try:
             known = inspect.signature(self.f).parameters
         except (TypeError, ValueError):
@@ -170,7 +173,7 @@ class Losses:
         return Losses(partial(self.f, contact_gradient="code"), self.parameters, self.batch)
 
     def points(self, moves: Numbers) -> NDArray[np.float32]:
-        """Return the parameters {worlds, n} of moves in units of sigma."""
+        """Return theta + moves * sigma for moves {worlds, n} in units of sigma."""
         return (self.parameters.start + moves * self.parameters.sigma).astype(np.float32)
 
     def _parts(self, moves: Numbers) -> Iterator[tuple[int, NDArray[np.float32]]]:
@@ -203,7 +206,7 @@ class Losses:
         return found
 
     def values(self, moves: Numbers) -> Numbers:
-        """Return the losses {worlds} of moves {worlds, n} in units of sigma."""
+        """Return the losses {worlds} at theta + moves * sigma, moves {worlds, n}."""
         found = []
         for first, points in self._parts(moves):
             losses = self._call(self.parameters.rows(points), len(points))
@@ -211,14 +214,14 @@ class Losses:
         return np.concatenate(found)
 
     def slopes(self, moves: Numbers) -> Slopes:
-        """Return losses and gradients of moves; the info is of the last batch."""
-        # Each batch has its own tape, which no longer exists when f writes its memory again.
+        """Return losses and gradients at theta + moves * sigma; the info is of the last batch."""
+        # Each batch has its own tape. It is gone before the next batch lets f reuse its memory.
         parts = [self._slopes(first, points) for first, points in self._parts(moves)]
         losses, gradients = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
         return Slopes(losses, gradients * self.parameters.sigma, parts[-1].info)
 
     def record(self) -> AdjointRecord | None:
-        """Return the adjoint record at theta; None with steps that have none."""
+        """Return the adjoint record at theta; None: the steps of f have no adjoint record."""
         leaves = self.parameters.rows(self.points(np.zeros((1, self.parameters.size))), leaves=True)
         with Tape() as tape:
             losses = self._call(leaves, 1)
@@ -250,7 +253,7 @@ class Losses:
 
 
 def _info_of(tape: Tape) -> GradientInfo | None:
-    """Return what the solvers on the tape tell, or None without steps of a solver."""
+    """Return the GradientInfo of a tape; None: the tape has no steps of a solver."""
     try:
         return tape.gradient_info()
     except Error:

@@ -1,4 +1,4 @@
-"""The mean of a function over normal samples of its parameters, with a gradient."""
+"""smoothed: the mean of a function over normal samples of its parameters, with a gradient."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ if TYPE_CHECKING:
 
 
 class Estimate(NamedTuple):
-    """A gradient {n} per sigma from samples."""
+    """A smoothed gradient {n} per sigma, estimated from samples, with its statistics."""
 
     gradient: Numbers
     standard_error: Numbers
-    alpha: float  # the weight of first-order samples
-    clipped: float  # the share of samples
-    tail: float  # the longest sample in units of the median length
+    alpha: float  # weight of the first-order estimate, 0 to 1
+    clipped: float  # share of the sample gradients that were shortened
+    tail: float  # length of the longest sample gradient in units of the median length
 
     def told(self, parameters: Parameters) -> dict[str, Any]:
-        """Return the entries of `info`, in the units and the form of theta."""
+        """Return the entries for the argument `info` of smoothed, in units and form of theta."""
         sigma, form = parameters.sigma, parameters.natural
         return {
             "gradient": form(self.gradient / sigma),
@@ -35,14 +35,14 @@ class Estimate(NamedTuple):
 
 
 def check_worlds(user: str, worlds: int, antithetic: bool = True) -> None:
-    """Raise ValueError unless the number of samples has an error estimate."""
+    """Raise ValueError if there are too few samples, or an odd number of antithetic samples."""
     least, what = (4, "an even number") if antithetic else (2, "a number")
     if worlds < least or (antithetic and worlds % 2):
         raise ValueError(f"{user}, worlds: expected {what} >= {least}, got {worlds}")
 
 
 def draw(worlds: int, width: int, seed: int, antithetic: bool) -> Numbers:
-    """Return samples {worlds, width} of variance 1. Antithetic samples come in pairs w, -w."""
+    """Return normal samples {worlds, width} of variance 1. Antithetic: rows are pairs w, -w."""
     if not antithetic:
         return normal_numbers(worlds, width, seed)
     half = normal_numbers(worlds // 2, width, seed)
@@ -50,9 +50,9 @@ def draw(worlds: int, width: int, seed: int, antithetic: bool) -> Numbers:
 
 
 def zeroth_order(losses: Numbers, w: Numbers, antithetic: bool) -> Numbers:
-    """Return terms {samples, n}. Their mean, divided by sigma, estimates the gradient.
+    """Return terms {samples, n}, whose mean is the zeroth-order gradient per sigma.
 
-    samples: the number of antithetic pairs, or of worlds.
+    `samples` is the number of antithetic pairs, or the number of worlds without pairs.
     """
     if antithetic:
         return 0.5 * (losses[0::2] - losses[1::2])[:, None] * w[0::2]
@@ -61,15 +61,15 @@ def zeroth_order(losses: Numbers, w: Numbers, antithetic: bool) -> Numbers:
 
 
 def first_order(gradients: Numbers, antithetic: bool) -> Numbers:
-    """Return terms {samples, n}, whose mean is the mean gradient.
+    """Return terms {samples, n}, whose mean is the first-order gradient.
 
-    samples: the number of antithetic pairs, or of worlds.
+    `samples` is the number of antithetic pairs, or the number of worlds without pairs.
     """
     return 0.5 * (gradients[0::2] + gradients[1::2]) if antithetic else gradients
 
 
 def tail_of(gradients: Numbers) -> float:
-    """Return the largest length of rows in units of the median length; 1 where all are 0."""
+    """Return the length of the longest row divided by the median length; 1 if all rows are 0."""
     lengths = np.linalg.norm(gradients, axis=1)
     largest, median = lengths.max(), np.median(lengths)
     if largest == 0.0:
@@ -78,7 +78,7 @@ def tail_of(gradients: Numbers) -> float:
 
 
 def clip_to_median(gradients: Numbers) -> tuple[Numbers, float]:
-    """Shorten rows to the median length. Returns the rows, and the share that was shortened."""
+    """Shorten longer rows to the median length. Return all rows, and the share of short ones."""
     lengths = np.linalg.norm(gradients, axis=1)
     median = np.median(lengths)
     longer = lengths > median
@@ -89,7 +89,7 @@ def clip_to_median(gradients: Numbers) -> tuple[Numbers, float]:
 
 
 def mean_and_error(terms: Numbers) -> tuple[Numbers, Numbers]:
-    """Return the mean of rows and its standard error."""
+    """Return the mean {n} of rows and the standard error {n} of the mean."""
     return terms.mean(axis=0), terms.std(axis=0, ddof=1) / np.sqrt(len(terms))
 
 
@@ -101,7 +101,7 @@ def _estimate(
     antithetic: bool,
     clip: str | None,
 ) -> Estimate:
-    """Return the smoothed gradient of samples."""
+    """Return the smoothed gradient from losses and gradients of samples; see smoothed."""
     zeroth = zeroth_order(losses, w, antithetic)
     g0, e0 = mean_and_error(zeroth)
     if order == 0 or gradients is None:
@@ -121,7 +121,7 @@ def _estimate(
 
 
 def _linear_model(parameters: Parameters, value: float, slope: Numbers) -> Tensor:
-    """Record value + slope (theta - theta0): the value, with a gradient and a tangent."""
+    """Record value + slope . (theta - theta0): a tensor with this value, gradient and tangent."""
     total = None
     parts = parameters.split(slope.astype(np.float32))
     for name, entry in parameters.tensors.items():
@@ -153,33 +153,35 @@ def smoothed(
 ) -> Tensor:
     """Return the mean of f(theta + sigma w) over normal samples w, with the gradient of the mean.
 
-    On the active tape the call is one value, whose gradient and tangent are the smoothed gradient.
-    The samples depend on the seed, the sample and the parameter only. Two calls see the same
-    samples, and every `batch` gives the same bits. Source: arXiv 2202.00817 (2022).
+    The active tape records the result with the smoothed gradient as its derivative. A sample's
+    numbers depend only on the seed and the indices of sample and parameter. Therefore two calls use
+    the same samples, and every `batch` gives the same bits. Source: arXiv 2202.00817 (2022).
 
     Args:
         f: maps parameters {worlds, n} to losses {worlds}, a Tensor. For a dict theta, f takes a
             dict of tensors {worlds, ...}. Other values of f are constants.
         theta: the parameters: {n} or {1, n}, or a dict of entries of any shape, float32.
-        sigma: the standard deviation of samples, in the units of theta: a number, or its shape.
+        sigma: the standard deviation of the samples, in the units of theta: a number, or an array
+            of theta's shape.
         worlds: the number of samples.
-        order: 0: the gradient of differences of losses. 1: the mean of the gradients of f. "mixed":
-            the mean of both of the least variance; order 0 where they are 3 standard errors apart.
-        antithetic: samples 2 i and 2 i + 1 are +w and -w.
-        clip: "median" shortens gradients of samples (per sigma) to the median length, for order 1.
-        seed: another seed gives other samples.
+        order: 0: estimate the gradient from losses. 1: average the gradients of f. "mixed": the
+            mean of both with the least variance, or order 0 if they are 3 standard errors apart.
+        antithetic: use the samples +w and -w in rows 2 i and 2 i + 1.
+        clip: "median": for order 1, shorten long sample gradients (per sigma) to median length.
+        seed: the seed of the samples.
         batch: the number of samples in one call of f; None: all.
-        info: a dict for "gradient" and "standard_error" (in the units and the form of theta).
-            Other keys: "alpha" (weight of order 1), "clipped" (share of samples), "tail" (the
-            longest sample in median lengths).
+        info: a dict that gets "gradient" and "standard_error", in the units and the form of theta.
+            Further entries are "alpha" (weight of order 1), "clipped" (share of clipped samples)
+            and "tail" (length of the longest sample gradient in median lengths).
 
     Returns:
         A Tensor with one value, float32.
 
     Raises:
         TypeError: theta is not float32, or f returns no Tensor.
-        ValueError: no parameter; sigma is not positive, not finite or of another shape.
-        ValueError: losses of another shape, or not finite (with the row); no gradient path.
+        ValueError: theta has no parameter, or sigma is not positive and finite or does not fit.
+        ValueError: losses have another shape or are not finite (the message has the row), or the
+            losses do not depend on theta by recorded operations.
     """
     _check_choices(order, clip)
     check_worlds("smoothed", worlds, antithetic)

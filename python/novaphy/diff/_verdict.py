@@ -9,36 +9,41 @@ import numpy as np
 if TYPE_CHECKING:
     from ._parameters import Numbers
 
-STEPS = (1.0, 0.3, 0.1, 0.01)  # of differences, sigmas
-AGREES = 0.2  # relative distance of gradient and differences over 0.3 sigma
-SETTLED = 0.25  # relative change of the differences from 0.3 to 0.1 sigma
-AGREES_CLOSELY = 0.05  # over 0.01 sigma
-CONVERGED = 0.02  # over 0.01 sigma, where the distance falls with the step
-KNOWN = 0.15  # standard error of the smoothed gradient, relative
-HEAVY = 10.0  # the longest sample in units of the median length
-APART = 3.0  # steps between two events
-SHORT = 10.0  # steps of a penalty contact
-SEEN = 0.02  # the least part of the gradient that a wrong component has
-ROUNDING = 2.0**-23  # of a loss in float32, relative
+STEPS = (1.0, 0.3, 0.1, 0.01)  # step sizes of central differences (sigmas)
+# Largest values, relative to the longer vector:
+AGREES = 0.2  # distance of gradient and differences over 0.3 sigma, for agreement
+SETTLED = 0.25  # change of the differences from 0.3 to 0.1 sigma, for settled differences
+AGREES_CLOSELY = 0.05  # distance over 0.01 sigma, for the verdict "local"
+CONVERGED = 0.02  # distance over 0.01 sigma, for differences that converge to the gradient
+KNOWN = 0.15  # standard error of a smoothed gradient that counts as known
+HEAVY = 10.0  # longest sample gradient in median lengths, for samples without a heavy tail
+# Smallest values:
+APART = 3.0  # time steps between two events that do not disturb differences
+SHORT = 10.0  # time steps of a penalty contact that is resolved in time
+SEEN = 0.02  # part of the gradient, for a component whose sign is compared
+ROUNDING = 2.0**-23  # relative rounding error of a loss in float32
 
 
 class Evidence(NamedTuple):
     """The numbers behind a verdict. Derivatives are per sigma."""
 
-    slopes: Numbers  # {m}: of the gradient along the directions
-    differences: Numbers  # {4, m}, over STEPS
-    noise: Numbers  # {4}, of differences by rounding
+    slopes: Numbers  # {m}: the gradient's components along the directions
+    differences: Numbers  # {4, m}: central differences over STEPS along the directions
+    noise: Numbers  # {4}: rounding error of a difference for each of STEPS
     tail: float
     info: Any  # GradientInfo or None
-    shift: float | None  # the largest move of the time of an event, steps per sigma
+    shift: float | None  # largest change of an event's time, in time steps per sigma
     gradient: Numbers  # {n}
-    smoothed: Numbers  # {n}, of samples at a quarter of sigma
-    error: Numbers  # {n}, of `smoothed`
-    sampled: Numbers  # {m}: of the smoothed gradient along the directions
+    smoothed: Numbers  # {n}: zeroth-order gradient from samples of deviation 0.25 sigma
+    error: Numbers  # {n}: standard error of `smoothed`
+    sampled: Numbers  # {m}: the smoothed gradient's components along the directions
 
 
 def disagreements(of: Evidence) -> Numbers:
-    """Return the relative distance {4} of gradient and differences, less the rounding error."""
+    """Return {4}: the distance of gradient and differences minus rounding, for each of STEPS.
+
+    The distance is relative to the longer vector.
+    """
     floor = 3.0 * of.noise * np.sqrt(len(of.slopes))
     lengths = np.maximum(np.linalg.norm(of.differences, axis=1), np.linalg.norm(of.slopes))
     apart = np.linalg.norm(of.differences - of.slopes, axis=1)
@@ -46,7 +51,7 @@ def disagreements(of: Evidence) -> Numbers:
 
 
 def is_hidden(of: Evidence, step: int, part: float) -> bool:
-    """Return whether rounding is more than a part of the gradient and of differences of a step."""
+    """Return whether rounding exceeds `part` of both the gradient and the differences of a step."""
     floor = 3.0 * of.noise[step] * np.sqrt(len(of.slopes))
     length = max(np.linalg.norm(of.differences[step]), np.linalg.norm(of.slopes))
     return bool(floor > part * length)
@@ -62,9 +67,9 @@ def is_settled(of: Evidence) -> bool:
 def is_converging(of: Evidence) -> bool:
     """Return whether the differences converge to the gradient as their step shrinks.
 
-    Central differences of a smooth loss converge with the square of the step. The differences also
-    converge if a contact stays in its time step and the gradient omits the contact's time. The
-    result is then False.
+    Central differences of a smooth loss converge with the square of the step. Differences over
+    small steps also agree with a gradient that omits the times of contacts, because a small move
+    leaves each contact in its time step. The result is False for such a gradient.
     """
     _, wide, narrow, tiny = disagreements(of)
     falls = narrow <= wide * (STEPS[2] / STEPS[1]) and tiny <= CONVERGED
@@ -72,11 +77,12 @@ def is_converging(of: Evidence) -> bool:
 
 
 def reversed_component(of: Evidence) -> int | None:
-    """Return the direction of the largest component whose sign is wrong, or None.
+    """Return the direction in which the gradient has the wrong sign; None: no such direction.
 
-    The differences over 0.3 and 0.1 sigma agree for this component. The slope of the samples is
-    nearer to the differences than to the gradient. Components below 2 % of the gradient are left
-    out, because the roughness of the loss can change their sign.
+    A direction counts if the gradient and the differences have opposite signs. The differences over
+    0.3 and 0.1 sigma must agree, and the slope of the samples must be nearer to them. Components
+    below 2 % of the gradient do not count, because roughness of the loss can change their sign. The
+    direction with the largest error is returned.
     """
     _, wide, narrow, _ = of.differences
     apart = np.abs(wide - of.slopes)
@@ -95,19 +101,19 @@ def is_zero(of: Evidence) -> bool:
 
 
 def is_known(of: Evidence) -> bool:
-    """Return whether the samples determine the smoothed gradient."""
+    """Return whether the samples determine the smoothed gradient: small error, no heavy tail."""
     length = np.linalg.norm(of.smoothed)
     return bool(np.linalg.norm(of.error) <= KNOWN * length and of.tail <= HEAVY)
 
 
 def from_smoothed(of: Evidence) -> float:
-    """Return the distance of gradient and smoothed gradient, relative to the longer one."""
+    """Return the distance of gradient and smoothed gradient, relative to the longer vector."""
     lengths = float(np.linalg.norm(of.gradient)), float(np.linalg.norm(of.smoothed))
     return float(np.linalg.norm(of.gradient - of.smoothed)) / max(*lengths, 1e-300)
 
 
 def judge(of: Evidence) -> tuple[str, str]:
-    """Return the verdict and its sentence."""
+    """Return the verdict and a sentence with the reason (see Certificate)."""
     _, at_wide, _, at_tiny = disagreements(of)
     if is_zero(of):
         return "zero", "The loss does not change within one sigma: the motion reaches nothing."
@@ -155,7 +161,7 @@ def judge(of: Evidence) -> tuple[str, str]:
 
 
 def _leaves_times_out(of: Evidence) -> bool:
-    """Return whether contacts change and the gradient does not move their times."""
+    """Return whether contacts begin or end, and the gradient omits changes of their times."""
     return of.info is not None and of.info.events > 0 and not of.info.event_list
 
 

@@ -1,6 +1,7 @@
-"""Gradients over many worlds on many processes, with bits that do not depend on how many.
+"""Gradients over many worlds on many processes. The bits do not depend on the number of processes.
 
-torch.distributed, Ray and MPI carry the sums. A block of worlds is the unit that is spread:
+The worlds of a run are divided into blocks, and the blocks among processes (ranks). Sums are
+exchanged by torch.distributed, Ray or MPI:
 
     from novaphy import distributed as dist
     group = dist.init()                                     # torchrun, mpiexec, or alone
@@ -9,7 +10,7 @@ torch.distributed, Ray and MPI carry the sums. A block of worlds is the unit tha
     dist.step(optimizer, grads)
     dist.check(params, optimizer)
 
-Nothing here imports torch, Ray or MPI before it is asked for.
+torch, Ray or MPI is imported when a group needs it.
 """
 
 from .._require import require_diff

@@ -1,4 +1,4 @@
-"""Losses and gradients of all blocks of all ranks."""
+"""Losses and gradients summed over the blocks of all ranks, and optimizer steps with them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Rollout = Callable[[Block, dict[str, nova.Tensor]], nova.Tensor]
 
 
 def checked_params(params: Params, call: str) -> Params:
-    """Return params. TypeError: not a dict of float32 Tensors."""
+    """Return params unchanged. TypeError: params is not a dict of float32 Tensors."""
     if not isinstance(params, Mapping) or not params:
         raise TypeError(f"{call}: params: expected a dict of Tensors, got {params!r}")
     for name, value in params.items():
@@ -30,7 +30,7 @@ def checked_params(params: Params, call: str) -> Params:
 
 
 def gradient_of_block(rollout: Rollout, params: dict[str, Vector], block: Block) -> Vector:
-    """Return the sum of the losses of a block, then its gradient, in one row."""
+    """Return {1 + n}: the sum of a block's losses, then the sum's gradient by all parameters."""
     leaves = {}
     for name, value in params.items():
         leaves[name] = nova.tensor(value, device=block.device)
@@ -73,7 +73,10 @@ def _check_finite(losses: NDArray[np.float32], block: Block) -> None:
 
 
 def _first_state(block: Block, world: int) -> str:
-    """Describe the first kept state of a Trajectory that is not finite in a world of the block."""
+    """Return a text about the first stored state that is not finite in a world; "": none.
+
+    The states are those of the Trajectory objects in `block.kept`.
+    """
     model = block.model
     worlds_of = {
         "particle_q": model.particle_world.numpy(),
@@ -94,11 +97,11 @@ def _first_state(block: Block, world: int) -> str:
 
 
 def sums_of(function: Callable[[Block], Vector], shard: Shard) -> list[Node]:
-    """Return the sums of the largest subtrees of this rank. Devices work side by side."""
+    """Return the sums of the largest subtrees of this rank's blocks. Devices run in parallel."""
     sums = BlockSums(shard.block_count)
 
     def row_of(block: Block) -> Vector:
-        row = np.array(function(block))  # a copy: the function may use its memory again
+        row = np.array(function(block))  # copied, because the function may reuse its memory
         if row.ndim != 1 or row.dtype != np.float32:
             raise TypeError(
                 "sum_blocks: function: expected a row of float32 numbers, got the shape "
@@ -124,10 +127,12 @@ def sums_of(function: Callable[[Block], Vector], shard: Shard) -> list[Node]:
 
 
 def sum_blocks(function: Callable[[Block], Vector], shard: Shard) -> Vector:
-    """Return the sum of the vectors that a function gives for all blocks of all ranks.
+    """Return the sum {n} of a function over all blocks of all ranks.
 
-    function: block -> float32 {n}, for example the observations of a running mean. The sum runs up
-    the tree of blocks, so its bits do not depend on the ranks.
+    function: maps a Block to float32 {n}, such as the sums of a running mean of observations.
+    shard: the blocks of this rank.
+
+    The blocks are added in a fixed binary tree, so the bits of the sum do not depend on the ranks.
 
     ValueError: the sum of finite numbers is too large for float32. RuntimeError: another rank
     failed; the message names it.
@@ -149,7 +154,7 @@ def sum_blocks(function: Callable[[Block], Vector], shard: Shard) -> Vector:
 
 
 def total_of(blocks: int, nodes: list[Node]) -> Vector:
-    """Return the root of the tree over the nodes of all ranks."""
+    """Return the sum of all blocks from the nodes of all ranks."""
     sums = BlockSums(blocks)
     for level, index, values in nodes:
         sums.put(level, index, values)
@@ -170,16 +175,19 @@ def mean_and_gradients(
 
 
 def value_and_grad(rollout: Rollout, params: Params, shard: Shard) -> tuple[float, Gradients]:
-    """Return the mean loss over all worlds of all ranks, and its gradient, with equal bits on all
-    ranks.
+    """Return the mean loss over all worlds of all ranks, and the gradient of the mean loss.
 
-    rollout: (block, params) -> losses, a Tensor {block.worlds}; recorded on one tape for each
-    block.
+    All ranks get the same bits.
+
+    rollout: (block, params) -> losses, a Tensor {block.worlds}. Each call runs on its own tape.
     params: a dict of float32 Tensors. A rollout gets copies on the device of its block.
+    shard: the blocks of this rank.
 
-    Within a block a sum over worlds runs from the first world to the last one. Sums of blocks are
-    added up a binary tree by block number. The bits therefore depend on worlds and block of the
-    shard, and never on ranks, devices or threads.
+    Within a block, worlds are added from the first to the last. Blocks are added in a fixed binary
+    tree. Therefore the bits depend on `worlds` and `block` of the shard, and not on the number of
+    ranks, devices or threads.
+
+    Returns the loss as a float, and a dict of gradients {...} with the names of `params`.
 
     ValueError: losses of another shape, a loss that is not finite (the message names its world), a
     sum that is too large for float32. RuntimeError: another rank failed; the message names it.
@@ -191,9 +199,11 @@ def value_and_grad(rollout: Rollout, params: Params, shard: Shard) -> tuple[floa
 
 
 def step(optimizer: nova.optim.SGD | nova.optim.Adam, grads: Gradients) -> None:
-    """Take a step of an optimizer with the gradients of value_and_grad, in the order of its params.
+    """Take a step of an optimizer with the gradients of value_and_grad.
 
-    ValueError: another number of gradients, or another shape.
+    grads: a dict whose order is the order of optimizer.params.
+
+    ValueError: the number of gradients or a shape does not fit.
     """
     if len(optimizer.params) != len(grads):
         raise ValueError(
@@ -207,6 +217,6 @@ def step(optimizer: nova.optim.SGD | nova.optim.Adam, grads: Gradients) -> None:
             )
     for param, gradient in zip(optimizer.params, grads.values(), strict=True):
         param.requires_grad = True
-        if param.grad is not None:  # requires_grad made it
+        if param.grad is not None:  # parameters with requires_grad have a gradient tensor
             param.grad.assign(gradient)
     optimizer.step()

@@ -1,4 +1,4 @@
-"""Groups of processes: the interface that torch.distributed, Ray and MPI fill."""
+"""Groups of processes: a common interface for torch.distributed, Ray and MPI."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import Any
 
 
 class Group:
-    """The processes of a run, numbered from 0; this class itself is a process alone.
+    """The processes of a run. This base class is a group of one process.
 
-    The payloads are bytes. Every rank makes the same calls in the same order. A rank that makes
-    another call is named in a RuntimeError.
+    A rank is the number of a process, from 0. Payloads are bytes. All ranks must make the same
+    calls in the same order. RuntimeError: a rank made another call; the message names the rank.
     """
 
     kind = "alone"
@@ -18,7 +18,7 @@ class Group:
     size = 1
 
     def all_gather(self, payload: bytes, call: str = "all_gather") -> list[bytes]:
-        """Return the payloads of all ranks, by rank. Payloads may differ in length."""
+        """Return the payloads of all ranks, in the order of ranks. Lengths may differ."""
         header = call.encode() + b"\0"
         found = []
         for rank, message in enumerate(self._gather(header + payload, call)):
@@ -32,7 +32,7 @@ class Group:
         return found
 
     def broadcast(self, payload: bytes, root: int = 0, call: str = "broadcast") -> bytes:
-        """Return the payload of one rank on all ranks."""
+        """Return the payload of the rank `root` on all ranks."""
         if not 0 <= root < self.size:
             raise IndexError(f"broadcast: root: expected 0 to {self.size - 1}, got {root}")
         return self.all_gather(payload if self.rank == root else b"", call)[root]
@@ -53,7 +53,7 @@ _MPI = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK", "MPI_LOCALNRANKS")
 
 
 def _kind() -> str:
-    """Return the launcher of this process, by its environment variables."""
+    """Return "torch", "mpi" or "alone", from the environment variables of the launcher."""
     if {"RANK", "WORLD_SIZE", "MASTER_ADDR"} <= os.environ.keys():
         return "torch"
     slurm = int(os.environ.get("SLURM_STEP_NUM_TASKS", "1")) > 1
@@ -61,13 +61,14 @@ def _kind() -> str:
 
 
 def init(kind: str | None = None, *, timeout: float = 300.0) -> Group:
-    """Join the group of this run, and make it the one that the other functions use.
+    """Join the group of processes of this run, and make it the current group.
 
-    kind: "torch" (torchrun, or an initialized torch.distributed), "mpi" (mpiexec, srun) or "alone";
-    None: what the environment says. Functions that spawn started have a group already.
-    timeout: s that a rank waits for the others in one call, with "torch".
+    kind: "torch" (torchrun, or an initialized torch.distributed), "mpi" (mpiexec, srun) or "alone"
+    (one process). None: find out from the environment. In a function that spawn started, None
+    returns the group of spawn.
+    timeout: how long a rank waits for the other ranks in one call (s), for "torch".
 
-    ImportError: the library is missing. ValueError: another kind.
+    ImportError: the library is missing. ValueError: an unknown kind.
     """
     if kind is None and _current.kind == "ray":
         return _current
@@ -95,12 +96,12 @@ def use(group: Group) -> Group:
 
 
 def current() -> Group:
-    """Return the group of the last init; before init a group of this process alone."""
+    """Return the current group: that of the last init, or a group of this process before init."""
     return _current
 
 
 def needed(library: str, kind: str, extra: str) -> Any:
-    """Import a library that NovaPhy does not install."""
+    """Import a library that NovaPhy does not install. ImportError: the message names `extra`."""
     import importlib
 
     try:

@@ -1,4 +1,4 @@
-"""Groups by mpi4py."""
+"""MpiGroup: a group whose ranks are the processes of MPI, through mpi4py."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ._groups import Group, needed
 
 
 class MpiGroup(Group):
-    """MPI's world. An exception that nobody catches ends all ranks."""
+    """All processes of MPI's COMM_WORLD. An uncaught exception in one rank aborts all ranks."""
 
     kind = "mpi"
 

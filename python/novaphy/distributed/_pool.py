@@ -1,4 +1,4 @@
-"""Workers that a single process drives."""
+"""Pool: workers that compute blocks of worlds for a single driving process."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ._ray import started
 from ._shard import Block, Shard, counted, part_of
 from ._tree import Node, Vector
 
-_shards: dict[tuple[Any, ...], Shard] = {}  # kept by a worker from call to call
+_shards: dict[tuple[Any, ...], Shard] = {}  # the last shard of a worker, reused by later calls
 
 
 def _work(
@@ -34,7 +34,10 @@ def _work(
     scene: Callable[[int, int, str], _core.Model],
     plan: tuple[int, int, int, int, str],
 ) -> list[Node]:
-    """Return the sums of the blocks first to last - 1."""
+    """Return the sums of blocks `first` to `last` - 1, in a worker.
+
+    plan: worlds of the run, worlds of a block, first block, last block + 1, device.
+    """
     worlds, block, first, last, device = plan
     key = (pickle.dumps(scene), *plan)
     if key not in _shards:
@@ -47,7 +50,7 @@ def _work(
 
 
 class _RayExecutor:
-    """Tasks of Ray with the interface of concurrent.futures that Pool needs."""
+    """Ray actors behind the part of concurrent.futures.Executor that Pool uses."""
 
     class _Future:
         def __init__(self, ray: Any, reference: Any) -> None:
@@ -80,13 +83,16 @@ class _RayExecutor:
 class Pool:
     """Workers that compute the blocks of a run for one process.
 
-    kind: "processes" (this machine), "ray" (actors), or "mpi" (mpiexec -n N python -m
-    mpi4py.futures FILE).
+    kind: "processes" (of this machine), "ray" (actors), or "mpi" (the program is started by mpiexec
+    -n N python -m mpi4py.futures FILE).
     workers: the number of workers.
-    devices: devices that the workers get in turn. "auto": the CUDA devices of this process, or
-    "cpu" without one.
+    devices: worker k uses devices[k % len(devices)]. "auto": all CUDA devices of this process, or
+    "cpu" if there are none.
+    options: arguments of the executor (ProcessPoolExecutor, MPIPoolExecutor, or Ray actors).
 
-    A with statement ends the workers. ImportError: the library is missing.
+    The end of a with statement ends the workers.
+
+    ImportError: the library is missing. ValueError: an unknown kind, or workers below 1.
     """
 
     def __init__(
@@ -119,9 +125,14 @@ class Pool:
         worlds: int,
         block: int,
     ) -> tuple[float, Gradients]:
-        """Return the result of value_and_grad over shard(scene, ...), with a rank for each worker.
+        """Return the mean loss and its gradient, with the same bits as distributed.value_and_grad.
 
-        The bits are the same. rollout, scene: functions of a module, which workers import.
+        rollout, scene: functions at module level, which workers import. `scene` has the arguments
+        (first_world, worlds, device) and returns a Model.
+        params: a dict of float32 Tensors.
+        worlds, block: the number of worlds of the run, and of a block.
+
+        TypeError: `scene` is a ModelBuilder, or `params` is no dict of float32 Tensors.
         """
         if isinstance(scene, _core.ModelBuilder):
             raise TypeError("Pool: scene: expected a function, as builders do not travel")

@@ -1,4 +1,4 @@
-"""Groups of Ray's actors."""
+"""RayGroup and spawn: groups whose ranks are actors of Ray."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ._groups import Group, needed, use
 
 
 class _Board:
-    """The actor that all ranks write to and read from."""
+    """The actor that exchanges messages: all ranks write to it and read from it."""
 
     def __init__(self, size: int, timeout: float) -> None:
         self._size, self._timeout = size, timeout
@@ -22,7 +22,7 @@ class _Board:
         async with self._changed:
             messages = self._rounds.setdefault(number, {})
             messages[rank] = message
-            self._rounds.pop(number - 2, None)  # all ranks have read it
+            self._rounds.pop(number - 2, None)  # all ranks have read that round
             self._changed.notify_all()
             try:
                 await asyncio.wait_for(
@@ -37,7 +37,7 @@ class _Board:
 
 
 class RayGroup(Group):
-    """The actors that spawn started."""
+    """A group of the actors that spawn started."""
 
     kind = "ray"
 
@@ -63,7 +63,7 @@ class _Rank:
 
 
 def started(ray: Any, workers: int) -> None:
-    """Connect to a cluster, or start one on this machine with a place for each worker."""
+    """Connect to a Ray cluster, or start one on this machine with a CPU slot for each worker."""
     if ray.is_initialized():
         return
     if "RAY_ADDRESS" in os.environ:
@@ -76,12 +76,13 @@ def started(ray: Any, workers: int) -> None:
 def spawn(
     function: Callable[..., Any], *arguments: Any, ranks: int, timeout: float = 300.0, **actor: Any
 ) -> list[Any]:
-    """Run a function on actors of Ray that are one group; its results by rank.
+    """Run a function on several actors of Ray as one group; return the results by rank.
 
-    Inside of the function, init() returns the group.
-    ranks: how many actors.
-    timeout: s that a rank waits for the others in one call.
-    actor: options of each actor, as num_cpus=4 or num_gpus=1 (default: num_cpus=1).
+    function, arguments: every rank calls function(*arguments). In the function, init() returns the
+    group of the actors.
+    ranks: the number of actors.
+    timeout: how long a rank waits for the other ranks in one call (s).
+    actor: options of each actor, such as num_cpus=4 or num_gpus=1 (default: num_cpus=1).
 
     ImportError: Ray is missing. RuntimeError: a rank failed; the message names it.
     """

@@ -1,4 +1,4 @@
-"""Blocks of worlds, and the blocks of a rank."""
+"""Block and Shard: blocks of worlds, and the blocks that one rank simulates."""
 
 from __future__ import annotations
 
@@ -17,13 +17,16 @@ Scene = _core.ModelBuilder | Callable[[int, int, str], _core.Model]
 
 @dataclass(frozen=True)
 class Block:
-    """A unit of work: consecutive worlds, whose sums run from the first one to the last one.
+    """A unit of work: consecutive worlds, which one rank simulates on one device.
 
     index: the number of the block in the run.
-    first_world: the number of its first world in the run; first_world= of nova.random_normal.
-    worlds: how many.
-    model: the Model of these worlds. Blocks of one device share it where the scene is a builder.
-    kept: what a rollout keeps from call to call, as solvers and trajectories; one for each model.
+    first_world: the number of the block's first world in the run, for the argument first_world of
+    nova.random_normal.
+    worlds: the number of worlds in the block.
+    model: the Model of these worlds. If the scene is a ModelBuilder, all blocks on a device share
+    one Model.
+    kept: a dict in which a rollout can keep solvers and trajectories between calls. Blocks that
+    share a model share the dict.
     """
 
     index: int
@@ -40,7 +43,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Shard:
-    """The blocks of this rank, of a run of `worlds` worlds in blocks of `block`."""
+    """The blocks of this rank in a run of `worlds` worlds, with `block` worlds in each block."""
 
     worlds: int
     block: int
@@ -49,7 +52,7 @@ class Shard:
 
     @property
     def block_count(self) -> int:
-        """The blocks of all ranks."""
+        """The number of blocks of all ranks together."""
         return self.worlds // self.block
 
 
@@ -72,7 +75,7 @@ def counted(worlds: int, block: int, ranks: int, call: str) -> int:
 
 
 def part_of(blocks: int, rank: int, ranks: int) -> range:
-    """Return the consecutive blocks of a rank. The first ranks have one more if blocks remain."""
+    """Return the range of blocks of a rank. The first blocks % ranks ranks get one block more."""
     each, more = divmod(blocks, ranks)
     first = rank * each + min(rank, more)
     return range(first, first + each + (rank < more))
@@ -89,19 +92,20 @@ def shard(
 ) -> Shard:
     """Make the models of the worlds that this process simulates.
 
-    All worlds of a run are divided into blocks of equal size. Each block has its own Model. Each
-    rank (process) gets consecutive blocks.
+    All worlds of a run are divided into blocks of equal size. Each rank (process) gets consecutive
+    blocks.
 
-    scene: a ModelBuilder of one world, which every world copies; or a function
-    (first_world, worlds, device) -> Model, for worlds that differ.
+    scene: a ModelBuilder of one world, which is copied for every world, so that all blocks on a
+    device share one Model. For worlds that differ: a function (first_world, worlds, device) ->
+    Model, which makes the Model of each block.
     worlds: the number of worlds of the whole run; a multiple of block.
-    block: the number of worlds in a block. The bits of sums depend on worlds and block alone.
-    device, devices: where the models of this rank live. With several devices, block k of the rank
-    is on devices[k % len(devices)].
-    group: the processes of the run. None: the group that init made.
+    block: the number of worlds in a block. The bits of sums depend only on worlds and block.
+    device, devices: the device, or the devices, of this rank's models. Block k of the rank is on
+    devices[k % len(devices)].
+    group: the processes of the run. None: the current group, see init.
 
-    ValueError: worlds that block does not divide, more ranks than blocks, an unknown device.
-    RuntimeError: the ranks do not have the same model; the message names them.
+    ValueError: block does not divide worlds, there are more ranks than blocks, or a device is
+    unknown. RuntimeError: the ranks have different models; the message names the ranks.
     """
     group = current() if group is None else group
     count = counted(worlds, block, group.size, "shard")
@@ -135,7 +139,10 @@ def shard(
 
 
 def _compare(group: Group, model: _core.Model, *, alike: bool) -> None:
-    """Check that ranks have one model. If worlds differ, their models have the same arrays."""
+    """Check that the models of all ranks have arrays of the same names, types and shapes.
+
+    alike: also compare the values of the arrays.
+    """
     if group.size == 1:
         return
     kept: Any = model.__getstate__()

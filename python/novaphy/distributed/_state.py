@@ -1,4 +1,4 @@
-"""Parameters and optimizers: hashes, copies and checkpoints."""
+"""The state of a training, parameters and optimizer: hashes, copies to all ranks, checkpoints."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _tensors(params: Params, optimizer: Optimizer | None) -> dict[str, nova.Tens
 
 
 def digest(params: Params, optimizer: Optimizer | None = None) -> str:
-    """Return the SHA-256 of the bits of parameters and of the state of an optimizer."""
+    """Return the SHA-256 (hex) of the bits of all parameters and of an optimizer's state."""
     found = hashlib.sha256()
     for name, tensor in _tensors(checked_params(params, "digest"), optimizer).items():
         found.update(f"{name} {tensor.shape}".encode() + tensor.numpy().tobytes())
@@ -35,9 +35,9 @@ def digest(params: Params, optimizer: Optimizer | None = None) -> str:
 
 
 def check(params: Params, optimizer: Optimizer | None = None, group: Group | None = None) -> None:
-    """Compare the digests of all ranks.
+    """Check that all ranks have the same bits in the parameters and the optimizer.
 
-    RuntimeError: they differ; the message names the ranks that are not as most are.
+    RuntimeError: the digests differ; the message names the ranks that differ from the majority.
     """
     group = current() if group is None else group
     hashes = group.all_gather(digest(params, optimizer).encode(), "check")
@@ -47,7 +47,7 @@ def check(params: Params, optimizer: Optimizer | None = None, group: Group | Non
 
 
 def sync(params: Params, optimizer: Optimizer | None = None, group: Group | None = None) -> None:
-    """Give all ranks the parameters and the optimizer of rank 0."""
+    """Copy the parameters and the optimizer's state of rank 0 to all ranks."""
     group = current() if group is None else group
     tensors = _tensors(checked_params(params, "sync"), optimizer)
     own = {name: t.numpy() for name, t in tensors.items()} if group.rank == 0 else {}
@@ -72,9 +72,10 @@ def save(
     iteration: int,
     **numbers: int,
 ) -> None:
-    """Write a checkpoint, on rank 0: parameters, optimizer, iteration, worlds, block and numbers.
+    """Write a checkpoint on rank 0: parameters, optimizer, iteration, worlds, block and `numbers`.
 
-    numbers: further integers, as seed=7. The file is whole or not there.
+    path: a name that ends in .npz. The file is written atomically.
+    numbers: additional integers by name, such as seed=7.
     """
     if shard.group.rank == 0:
         meta = {"iteration": iteration, "worlds": shard.worlds, "block": shard.block} | numbers
@@ -85,10 +86,13 @@ def save(
 def load(
     path: str | os.PathLike[str], params: Params, optimizer: Optimizer | None, shard: Shard
 ) -> dict[str, int]:
-    """Read a checkpoint of any number of ranks; returns iteration, worlds, block and numbers.
+    """Read a checkpoint of `save` into the parameters and the optimizer, on every rank.
 
-    All ranks read the file. ValueError: another number of worlds or another block, which would give
-    other bits; other parameters.
+    Returns iteration, worlds, block and the numbers of `save`. The number of ranks may differ from
+    the run that wrote the checkpoint.
+
+    ValueError: the names or shapes of parameters do not fit. ValueError: `worlds` or `block` of the
+    shard differs from the checkpoint, because the bits would differ.
     """
     values, numbers = nova.load_parameters(path)
     for name in ("worlds", "block"):

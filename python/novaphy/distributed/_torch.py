@@ -14,7 +14,10 @@ from ._groups import Group, needed
 
 
 class TorchGroup(Group):
-    """The default process group. Payloads go through Gloo, also where NCCL is the default."""
+    """The default process group of torch.distributed.
+
+    Payloads are sent by Gloo, even if the default backend is NCCL.
+    """
 
     kind = "torch"
 
@@ -40,7 +43,7 @@ class TorchGroup(Group):
 
     def _gather(self, message: bytes, call: str) -> list[bytes]:
         try:
-            # The barrier of Gloo that names the ranks that do not come.
+            # This barrier of Gloo names the ranks that do not arrive in time.
             self._lib.monitored_barrier(self._group, self._timeout, wait_all_ranks=True)
             length = self._torch.tensor([len(message)])
             lengths = [int(n) for n in self._all(length)]
@@ -55,7 +58,7 @@ class TorchGroup(Group):
 
     def _ended(self) -> str:
         """Describe the ranks of this host whose processes have ended."""
-        # The connections of a process that is killed close before the process counts as ended.
+        # The connections of a killed process close before /proc shows its end, so wait up to 2 s.
         latest = time.monotonic() + 2.0
         while not (ended := self._ended_now()) and time.monotonic() < latest:
             time.sleep(0.02)
@@ -80,5 +83,5 @@ def _runs(pid: str) -> bool:
     try:
         state = Path("/proc", pid, "stat").read_text().rpartition(")")[2].split()[0]
     except OSError:
-        return not Path("/proc/self").exists()  # no /proc: nobody knows
+        return not Path("/proc/self").exists()  # a system without /proc: assume that it runs
     return state not in ("Z", "X")

@@ -1,4 +1,4 @@
-"""Sums over blocks of worlds, up a binary tree by block number."""
+"""Sums over blocks of worlds, added in a binary tree whose leaves are the blocks in order."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float32]
-Node = tuple[int, int, Vector]  # level, index, sum of the blocks below
+Node = tuple[int, int, Vector]  # (level, index, sum of the blocks in the subtree)
 
 
 def _sum(a: Vector, b: Vector) -> Vector:
-    """Return the sum of two rows. ValueError: a sum of finite numbers is too large for float32."""
+    """Return a + b. ValueError: the sum of finite numbers is too large for float32."""
     with np.errstate(over="ignore"):
         values = a + b
     wrong = np.flatnonzero(~np.isfinite(values) & np.isfinite(a) & np.isfinite(b))
@@ -24,11 +24,11 @@ def _sum(a: Vector, b: Vector) -> Vector:
 
 
 class BlockSums:
-    """The sums of whole subtrees, joined as soon as both halves are there.
+    """The sums of subtrees of blocks, added as soon as both halves of a subtree are known.
 
     Node (level, index) is the sum of the blocks index * 2^level to (index + 1) * 2^level - 1. A
-    node whose sibling has no blocks goes up as it is. The order of the additions therefore depends
-    on the number of blocks alone, and not on who computed them or when.
+    node whose sibling has no blocks becomes the parent unchanged. The order of the additions
+    depends only on the number of blocks, and not on which process computes a block, or when.
     """
 
     def __init__(self, blocks: int) -> None:
@@ -37,7 +37,7 @@ class BlockSums:
         self._nodes: dict[tuple[int, int], Vector] = {}
 
     def put(self, level: int, index: int, values: Vector) -> None:
-        """Add a node; level 0 is a block."""
+        """Add the sum of a subtree; level 0 is a single block."""
         while level < self._top:
             sibling = index ^ 1
             if sibling << level < self._blocks:
@@ -54,7 +54,7 @@ class BlockSums:
         self._nodes[level, index] = values
 
     def nodes(self) -> list[Node]:
-        """Return the sums so far, one for each of the largest subtrees that are complete."""
+        """Return the sums so far: one node for each largest complete subtree."""
         return [(level, index, values) for (level, index), values in sorted(self._nodes.items())]
 
     def total(self) -> Vector:

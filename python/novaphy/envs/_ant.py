@@ -15,32 +15,32 @@ from ..solvers import SolverFeatherstone
 
 Array = NDArray[Any]  # float32
 
-# Parameter sets: file, torque per unit of action (N m), lowest height of a healthy Ant (m), and the
-# hinge of each action. Hinges hip_1, ankle_1, hip_2, ... have the numbers 0 to 7.
+# Parameter sets: file, gear (N m per unit of action), lowest torso height of a healthy Ant (m), and
+# the hinge that each action drives. Hinges hip_1, ankle_1, hip_2, ... have the numbers 0 to 7.
 ANTS: dict[str, tuple[str, float, float, tuple[int, ...]]] = {
     "dva": ("ant_heavy.xml", 200.0, 0.27, (0, 1, 2, 3, 4, 5, 6, 7)),
     "gym": ("ant.xml", 150.0, 0.2, (6, 7, 0, 1, 2, 3, 4, 5)),
 }
-START_HEIGHT = 0.75  # m
-START_JOINTS = (0.0, 1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0)  # rad
-LIMIT_KE, LIMIT_KD = 1e3, 10.0  # N m/rad, N m s/rad, of the limits of hinges
-HIGHEST = 1.0  # m: above it an episode ends
+START_HEIGHT = 0.75  # m, torso height after a reset
+START_JOINTS = (0.0, 1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0)  # rad, hinge angles after a reset
+LIMIT_KE, LIMIT_KD = 1e3, 10.0  # N m/rad, N m s/rad: stiffness and damping of hinge limits
+HIGHEST = 1.0  # m: the largest torso height of a healthy Ant
 OBSERVATIONS, ACTIONS = 111, 8
 ACTIONS_LIMIT = 1.0
 COORDS, DOFS = 15, 14
-FEET = (2, 4, 6, 8)  # bodies
+FEET = (2, 4, 6, 8)  # indices of the feet's bodies in a world
 TIPS = np.array([(0.4, 0.4, 0.0), (-0.4, 0.4, 0.0), (-0.4, -0.4, 0.0), (0.4, -0.4, 0.0)])
-TIP_RADIUS = 0.08  # m
-# The parameters that may differ between worlds, with their defaults.
+TIP_RADIUS = 0.08  # m, radius of the sphere at the tip of a foot
+# The parameters of AntWorlds.vary, which may differ between worlds, with their defaults.
 VARIED = {
     "friction": 0.75,  # coefficient of friction of feet on the ground
     "mass": 1.0,  # factor of all masses and inertias
-    "torso_mass": 1.0,  # further factor of the torso's mass and inertia
-    "gear": 1.0,  # factor of the torques; a number, or one per action
-    "slope": 0.0,  # rad; the ground stays level, and gravity is tilted
-    "slope_heading": 0.0,  # rad, direction uphill about +z, from +x
+    "torso_mass": 1.0,  # additional factor of the torso's mass and inertia
+    "gear": 1.0,  # factor of the torques: a number, or one number per action
+    "slope": 0.0,  # rad, simulated by tilted gravity over level ground
+    "slope_heading": 0.0,  # rad, direction of uphill: the angle from +x about +z
 }
-# The ranges of parameters. Masses far from those of the file leave the range of float32.
+# The allowed ranges of parameters. Extreme mass factors would exceed the range of float32.
 VARIED_RANGES = {"friction": (0.0, 1e3), "mass": (1e-3, 1e3), "torso_mass": (1e-3, 1e3)}
 
 
@@ -51,9 +51,9 @@ class AntWorlds:
     An action is the torque of a hinge divided by the gear: 200 N m for `dva`, 150 N m for `gym`.
     Actions are in the order of the file's motors. All arrays are float32, a row per world.
 
-    `q` {worlds, 15} has the position (m), the quaternion xyzw and the hinge angles hip_1, ankle_1,
-    ... (rad). `qd` {worlds, 14} has the velocity of the torso's origin and its angular velocity in
-    world axes, and the hinge rates.
+    `q` {worlds, 15} has the torso's position (m) and quaternion xyzw, and the hinge angles hip_1,
+    ankle_1, ... (rad). `qd` {worlds, 14} has the torso's velocity (m/s, of the origin) and angular
+    velocity (rad/s), both in world axes, and the hinge rates (rad/s).
     """
 
     def __init__(
@@ -71,12 +71,12 @@ class AntWorlds:
 
         Args:
             num_worlds: number of worlds.
-            ant: "dva" (density 1000, 182 kg) or "gym" (density 5, armature 1).
+            ant: "dva" (density 1000 kg/m³, 182 kg) or "gym" (density 5 kg/m³, armature 1 kg m²).
             seed: seed of the initial noise.
-            substeps: steps per frame; 50 means steps of 1 ms.
-            noise: initial positions are uniform in +-noise; velocities have this deviation.
+            substeps: solver steps per frame; 50 means steps of 1 ms.
+            noise: resets add uniform noise in +-noise to q, normal noise of this deviation to qd.
             device: device of the simulation (None: the default device). Every device gives the same
-                bits. Devices other than the CPU replay a captured frame. Arrays here are NumPy's.
+                bits. Devices other than the CPU replay a captured frame.
             solver_options: options of SolverFeatherstone.
 
         Raises:
@@ -101,7 +101,7 @@ class AntWorlds:
         self.state, self._after = self.model.state(), self.model.state()
         self._starts = self.model.state()  # the state after a reset
         self._replays = not self.model.device.is_cpu
-        self._graphs: dict[int, nova.Graph] = {}  # a frame, by the state it begins with
+        self._graphs: dict[int, nova.Graph] = {}  # captured frame, by id of its first state
         self._masses = self.model.body_mass.numpy().reshape(num_worlds, -1)
         self._inertias = self.model.body_inertia.numpy().reshape(num_worlds, -1, 3, 3)
         self._gravity = float(np.abs(self.model.gravity.numpy()).max())
@@ -111,7 +111,7 @@ class AntWorlds:
             )
             for name, value in VARIED.items()
         }
-        self.frame, self._resets = np.zeros(num_worlds, np.int64), 0  # frame: since each start
+        self.frame, self._resets = np.zeros(num_worlds, np.int64), 0  # frame: count since reset
         self.reset()
 
     @property
@@ -151,7 +151,7 @@ class AntWorlds:
     def _forget(self) -> None:
         """Make the solver read the model again and clear its contact impulses."""
         self.solver.notify_model_changed(0)
-        self._graphs.clear()  # graphs keep the values that they were recorded with
+        self._graphs.clear()  # a graph replays the parameter values of its capture
 
     def _write(self, q: Array, qd: Array, state: SimState) -> None:
         state.joint_q.assign(np.ascontiguousarray(q).ravel())
@@ -163,7 +163,7 @@ class AntWorlds:
         self.seed, self._resets = seed, 0
 
     def start(self) -> tuple[Array, Array]:
-        """Return the coordinates {worlds, 15} and rates {worlds, 14} of each world's next reset."""
+        """Return q {worlds, 15} and qd {worlds, 14} that the next reset gives each world."""
         q = np.tile(
             np.array([0, 0, START_HEIGHT, 0, 0, 0, 1, *START_JOINTS], np.float32),
             (self.num_worlds, 1),
@@ -180,7 +180,7 @@ class AntWorlds:
         """Reset Ants and return the observations {worlds, 111} of all Ants.
 
         Args:
-            worlds: a mask {worlds}. None: resets all, and clears the solver's contact impulses.
+            worlds: a mask {worlds}. None: reset all, and clear the solver's contact impulses.
         """
         mask = np.ones(self.num_worlds, bool) if worlds is None else np.asarray(worlds, bool)
         if mask.shape != (self.num_worlds,):
@@ -191,7 +191,7 @@ class AntWorlds:
             q, qd = self.start()
             self._resets += 1
             self.frame[mask] = 0
-            # On the device; the others keep the bits that their last step gave.
+            # The masked rows are copied on the device, so all other worlds keep their bits.
             self._write(q, qd, self._starts)
             begins = nova.tensor(mask.astype(np.int32)[:, None], device=self.model.device)
             for name in ("joint_q", "joint_qd", "body_q", "body_qd"):
@@ -208,7 +208,7 @@ class AntWorlds:
         """Change parameters of the worlds, such as `friction`, `mass`, `torso_mass` and `slope`.
 
         Args:
-            values: a number, or one number per world; `gear` may be {worlds, 8}.
+            values: a number per name, or one number per world; `gear` may be {worlds, 8}.
 
         Raises:
             ValueError: an unknown name, another shape, or numbers out of range. Nothing is changed.
@@ -274,8 +274,8 @@ class AntWorlds:
 
         Args:
             actions: {worlds, 8}, constant over the frame.
-            push: force on the torso over the frame, world axes, {worlds, 3} (N).
-            each: called after every substep with its index and the state.
+            push: force on the torso during the frame, {worlds, 3} (N, world axes).
+            each: called after every substep with the index of the substep and the state.
         """
         forces = self.joint_forces(actions)
         if push is not None:
@@ -302,7 +302,7 @@ class AntWorlds:
                 each(k, self.state)
 
     def _replay(self) -> None:
-        """Run the substeps of a frame from a graph, which the first call captures."""
+        """Run the substeps of a frame by a captured graph. The first call captures the graph."""
         begins = id(self.state)
         if begins not in self._graphs:
             with nova.ScopedCapture() as capture:
@@ -316,13 +316,13 @@ class AntWorlds:
     def observations(self) -> Array:
         """Return the observations of Gymnasium's Ant-v3, {worlds, 111}.
 
-        The columns are height; quaternion w x y z; hinges; velocity (world axes); angular velocity
-        (body axes); hinge rates; and 84 zeros, as in MuJoCo since version 2.0.
+        The columns are torso height (m); quaternion w x y z; hinge angles (rad); velocity (world
+        axes); angular velocity (body axes); hinge rates; and 84 zeros for contact forces.
         """
         return observations(self.q, self.qd)
 
     def healthy(self) -> NDArray[np.bool_]:
-        """Return whether each Ant is finite, above the lowest height and below 1 m, {worlds}."""
+        """Return {worlds}: whether the state is finite and the torso height in its range."""
         q, qd = self.q, self.qd
         finite = np.isfinite(q).all(axis=1) & np.isfinite(qd).all(axis=1)
         return finite & (q[:, 2] >= self.lowest) & (q[:, 2] <= HIGHEST)
@@ -350,13 +350,13 @@ def build_ants(
         numbers = array.numpy().reshape(num_worlds, DOFS)
         numbers[:, 6:] = value
         array.assign(numbers.ravel())
-    for of_mujoco in (model.shape_mixing, model.shape_margin):  # not of D.VA
+    for of_mujoco in (model.shape_mixing, model.shape_margin):  # MuJoCo fields, unused by D.VA
         of_mujoco.fill_(0.0)
     return model
 
 
 def observations(q: Array, qd: Array) -> Array:
-    """Return the observations {n, 111} of joint coordinates {n, 15} and rates {n, 14}."""
+    """Return the observations {n, 111} (AntWorlds.observations) of q {n, 15} and qd {n, 14}."""
     out = np.zeros((len(q), OBSERVATIONS), np.float32)
     out[:, 0], out[:, 1], out[:, 2:5] = q[:, 2], q[:, 6], q[:, 3:6]
     out[:, 5:13], out[:, 13:16] = q[:, 7:], qd[:, :3]
@@ -387,12 +387,12 @@ def rotate_back(quaternion: Array, v: Array) -> Array:
 
 
 def feet(state: SimState, num_worlds: int) -> tuple[Array, Array, Array]:
-    """Return tip centers {worlds, 4, 3}, and heights and velocities of lowest foot points."""
+    """Return tip centers {worlds, 4, 3} (m); heights, velocities of the tips' lowest points."""
     poses = state.body_q.numpy().reshape(num_worlds, -1, 7)[:, FEET]
     rates = state.body_qd.numpy().reshape(num_worlds, -1, 6)[:, FEET]
     arm = rotate(poses[..., 3:], np.broadcast_to(TIPS.astype(np.float32), poses[..., :3].shape))
     tip = poses[..., :3] + arm
-    # The vector from the center of mass, half way to the tip, to the lowest point.
+    # The vector from the center of mass (half way to the tip) to the lowest point of the tip.
     offset = 0.5 * arm - np.array([0.0, 0.0, TIP_RADIUS], np.float32)
     speed = rates[..., :3] + np.cross(rates[..., 3:], offset)
     return tip, tip[..., 2] - TIP_RADIUS, speed

@@ -1,4 +1,4 @@
-"""Gymnasium interfaces to AntWorlds."""
+"""AntEnv and AntVectorEnv: Gymnasium environments over AntWorlds."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class _Rules:
         self.randomize, self.forward_weight = dict(randomize or {}), forward_weight
 
     def draw(self, rng: np.random.Generator, worlds: np.ndarray) -> None:
-        """Draw new parameters for worlds that are reset."""
+        """Draw random parameters for the worlds (a mask {worlds}) that are reset."""
         values = {}
         for name, (low, high) in self.randomize.items():
             rows = self.ants.varied[name].copy()
@@ -73,8 +73,8 @@ class AntEnv(gymnasium.Env[Array, Array]):
     """One Ant with the observations and rewards of Gymnasium's Ant-v3, at 20 Hz.
 
     The reward of a frame is 1 while the Ant is healthy, plus the speed along +x (m/s), minus half
-    the sum of squared actions. `terminated`: the state is not finite, or the torso is too low or
-    above 1 m. `truncated`: the episode has lasted `episode` frames.
+    the sum of squared actions. An episode is terminated when the state is not finite, or the torso
+    is too low or above 1 m. An episode is truncated after `episode` frames.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "render_fps": 20}  # noqa: RUF012
@@ -93,12 +93,13 @@ class AntEnv(gymnasium.Env[Array, Array]):
         """Build the world.
 
         Args:
-            ant: "dva" or "gym".
+            ant: the parameter set of the robot, "dva" or "gym" (see AntWorlds).
             episode: number of frames until truncation.
-            noise: initial noise, see AntWorlds.
-            randomize: ranges (low, high) by the names of AntWorlds.vary, drawn at every reset.
+            noise: initial noise (see AntWorlds).
+            randomize: ranges (low, high) by parameter name of AntWorlds.vary. Every reset draws new
+                values.
             forward_weight: weight of the speed in the reward.
-            substeps: steps per frame.
+            substeps: solver steps per frame.
         """
         self.ants = AntWorlds(1, ant=ant, noise=noise, substeps=substeps)
         self._rules = _Rules(self.ants, episode, randomize, forward_weight)
@@ -108,14 +109,17 @@ class AntEnv(gymnasium.Env[Array, Array]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Start an episode; the same seed gives the same episode."""
+        """Start an episode. Return the observation {111} and an empty dict.
+
+        The same seed gives the same start.
+        """
         super().reset(seed=seed)
         self.ants.reseed(int(self.np_random.integers(2**31)))
         self._rules.draw(self.np_random, np.ones(1, bool))
         return self.ants.reset()[0], {}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Step one frame."""
+        """Step one frame; return observation, reward, terminated, truncated and an info dict."""
         rewards, terminated, truncated = self._rules.step(np.asarray(action, np.float32)[None])
         info = {"x_position": float(self.ants.q[0, 0])}
         out = np.nan_to_num(self.ants.observations()[0])
@@ -125,8 +129,9 @@ class AntEnv(gymnasium.Env[Array, Array]):
 class AntVectorEnv(VectorEnv[Array, Array, Array]):
     """A batch of Ants with the rules of AntEnv.
 
-    The autoreset mode is SAME_STEP. At the end of an episode the observation is that of the next
-    episode. infos["final_obs"] has the last observation, with the mask infos["_final_obs"].
+    The autoreset mode is SAME_STEP. In the step that ends an episode, the returned observation is
+    the first one of the next episode. The last observation of the ended episode is in
+    infos["final_obs"], for the worlds of the mask infos["_final_obs"].
     """
 
     @renamed_argument("randomise", "randomize")  # codespell:ignore randomise
@@ -141,7 +146,7 @@ class AntVectorEnv(VectorEnv[Array, Array, Array]):
         forward_weight: float = 1.0,
         substeps: int = 50,
     ) -> None:
-        """Build `num_envs` worlds. The arguments are those of AntEnv."""
+        """Build `num_envs` worlds. The other arguments have the same meaning as in AntEnv."""
         self.ants = AntWorlds(num_envs, ant=ant, noise=noise, substeps=substeps)
         self._rules = _Rules(self.ants, episode, randomize, forward_weight)
         self.num_envs, self.render_mode = num_envs, None

@@ -26,10 +26,10 @@ __all__ = [
 
 @contextlib.contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary path beside `path`, which replaces `path` at the end.
+    """Yield a temporary path beside `path`. At the end of the block it replaces `path`.
 
     The temporary name has the same extension. After an exception the temporary file is removed, and
-    an existing file at `path` is unchanged.
+    an existing file at `path` stays unchanged.
 
     Raises:
         ValueError: the folder of `path` does not exist, or `path` is a folder.
@@ -51,7 +51,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         yield temporary
         umask = os.umask(0)
         os.umask(umask)
-        temporary.chmod(0o666 & ~umask)  # mkstemp makes a private file
+        temporary.chmod(0o666 & ~umask)  # usual permissions, because mkstemp makes a private file
         temporary.replace(target)
     finally:
         temporary.unlink(missing_ok=True)

@@ -32,22 +32,22 @@ class TetMesh(NamedTuple):
 def height_field(heights: ArrayLike, cell_x: float, cell_y: float | None = None) -> Mesh:
     """Make the triangle mesh of a terrain from a grid of heights.
 
-    The front of the mesh is the upper side. A terrain has no inside and so no mass. A terrain
-    belongs to the world, or to a body with ``density=0``: ``builder.add_shape_mesh(-1,
-    mesh=height_field(z, 0.25), cfg=...)``.
+    The front of the mesh is the upper side. A terrain encloses no volume, so it has no mass. Attach
+    the terrain to the world (body -1), or to a body with ``density=0``:
+    ``builder.add_shape_mesh(-1, mesh=height_field(z, 0.25), cfg=...)``.
 
     Args:
-        heights: (rows, columns) in m. ``heights[j, i]`` is the height at x = i ``cell_x``, y = j
-            ``cell_y``, with the origin at the middle of the grid. At least 2 rows and 2 columns.
-        cell_x: distance of columns (m).
-        cell_y: distance of rows (m); None: ``cell_x``.
+        heights: {rows, columns} (m), at least 2 x 2. The coordinate x grows with the column by
+            ``cell_x``, and y with the row by ``cell_y``. The origin is the middle of the grid.
+        cell_x: distance between neighboring columns (m).
+        cell_y: distance between neighboring rows (m). None: ``cell_x``.
 
     Returns:
-        rows * columns vertices, row by row, and two triangles per cell. The common edge of the two
-        triangles is the diagonal from the corner with the smallest x and y.
+        A Mesh with rows * columns vertices, row by row, and two triangles per cell. The two
+        triangles share the diagonal from the corner with the smallest x and y.
 
     Raises:
-        ValueError: another shape, a height that is not finite, a distance that is not > 0.
+        ValueError: the shape does not fit, a height is not finite, or a distance is not > 0.
     """
     z = np.asarray(heights, dtype=np.float32)
     if z.ndim != 2 or min(z.shape) < 2:
@@ -83,15 +83,16 @@ def load_mesh(
 
     Needs a build with ``NOVAPHY_WITH_IO=ON`` (`novaphy.has_io`), as in the wheels.
 
-    All meshes of the file become one mesh, placed by the nodes of the scene. Polygons are cut into
-    triangles. Points, lines and vertices without a triangle are left out. A ``.dae`` file defines
-    its unit and up axis and is converted to meters with z up. The numbers of other formats stay
-    unchanged; see ``scale`` and ``rot`` of `ModelBuilder.add_cloth_mesh`.
+    All meshes of the file become one mesh, with the transforms of the file's scene nodes. Polygons
+    are cut into triangles. Points, lines and vertices without a triangle are left out. A ``.dae``
+    file defines its unit and up axis and is converted to meters with z up. Coordinates of other
+    formats stay unchanged; see ``scale`` and ``rot`` of `ModelBuilder.add_cloth_mesh`.
 
     Args:
         path: the file; its extension gives the format.
         join_vertices: merge corners with exactly the same position into one vertex. Most formats
-            store the corners of each triangle separately, and without merging the mesh falls apart.
+            store the corners of each triangle separately. Without merging, the triangles of such a
+            mesh are not connected.
         drop_degenerate: leave out triangles with two corners at the same position. False: raise an
             error for them.
 
@@ -114,7 +115,7 @@ def load_tet_mesh(path: str | os.PathLike[str], *, drop_loose_vertices: bool = F
     """Read the 4-node tetrahedra of a Gmsh MSH 4.1 ASCII file. Every build has this reader.
 
     The format is the "MSH file format" of https://gmsh.info/doc/texinfo/gmsh.html, Gmsh's default.
-    Points, lines, surfaces and physical groups of the file are skipped. Positions keep the unit and
+    Points, lines, surfaces and physical groups of the file are ignored. Positions keep the unit and
     the axes of the file.
 
     Args:
@@ -126,10 +127,10 @@ def load_tet_mesh(path: str | os.PathLike[str], *, drop_loose_vertices: bool = F
 
     Raises:
         OSError: the file is missing or cannot be opened.
-        ValueError: with the line, if one is known. The file has another format, is corrupt or
-            truncated, or has an empty mesh. A position is not finite. A solid element is not a
-            4-node tetrahedron. Tetrahedra are degenerate or inverted (with their number). A face
-            has more than two tetrahedra, or two on one side. A vertex belongs to no tetrahedron.
+        ValueError: the file has another format, is corrupt or truncated, or has an empty mesh. A
+            position is not finite. A solid element is not a 4-node tetrahedron. Tetrahedra are
+            degenerate or inverted. A face has more than two tetrahedra, or two on one side. A
+            vertex belongs to no tetrahedron. The message has the line of the file, if known.
     """
     _check_opens(path)
     return TetMesh(*_core.io.load_tet_mesh(path, drop_loose_vertices=drop_loose_vertices))

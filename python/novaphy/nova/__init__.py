@@ -1,9 +1,10 @@
 """The tensor runtime: tensors with gradients, tapes, captures, kernels from traced functions.
 
-A ``with nova.Tape() as tape`` block records arithmetic and functions of tensors if an input carries
-a gradient. ``tape.backward(loss)`` fills ``.grad``. The same functions work on traced values (Real,
-Int, Bool) inside of a function for make_indexed_kernel. Inside, ``nova.select(condition, a, b)``
-replaces ``if``.
+A ``with nova.Tape() as tape`` block records arithmetic and functions of tensors that require a
+gradient. ``tape.backward(loss)`` then fills ``.grad`` of the inputs.
+
+The same functions work on traced values (Real, Int, Bool) in a function for make_indexed_kernel. In
+such a function ``nova.select(condition, a, b)`` replaces ``if``.
 """
 
 from .._require import require_diff

@@ -12,32 +12,34 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]
 Numbers = NDArray[np.float64]
-SUSPECT = 0.01  # part of the largest H
+SUSPECT = 0.01  # drift of H that makes a step suspect, as a part of the largest |H|
 
 
 class AdjointRecord:
-    """The record of backward(loss, record=True), from the first step to the last.
+    """The gradient at each step of a rollout, recorded by backward(loss, record=True).
 
-    boundaries: a dict per step boundary. `norm` is the length of the gradient p by positions and
-      rates. `h` is p . f with the rates and accelerations f of the step before. A step that begins
-      a contact of articulations has None. `drift` is the miss of the step from here to keep H,
-      relative to the largest |H|. The other keys are `step` and `time` (s).
+    boundaries: one dict per boundary between two steps. `step` is the step that starts there, and
+      `time` its time (s). `norm` is the length of p, the gradient of the loss by positions and
+      velocities. `h` is the scalar H = p . f, where f has the velocities and accelerations of the
+      step before. A smooth motion keeps H constant. `h` is None after a step in which a contact of
+      articulations begins. `drift` is how far the step from this boundary changes H, relative to
+      the largest |H|.
 
-    contacts: a dict per step and contact that pushed, in the order of time. Its keys are `step`,
-      `time` (s, start of the step), `world`, `shape0` and `shape1`. `point` (m) and `normal` {3}
-      are in the world. `held`: the derivative holds point and normal. `begins`: the pair did not
-      push before.
+    contacts: one dict per step and pushing contact, in the order of time. The keys `step`, `time`
+      (s, start of the step), `world`, `shape0` and `shape1` name the contact. `point` (m) and
+      `normal` {3} are in the world frame. `held` says whether the derivative keeps point and normal
+      constant. `begins` says whether the pair did not push in the step before.
 
-      `impulse` {3} acts on shape1 (N s). `adjoint` {3} is the derivative of the loss by that
-      impulse. `change` {3} is that of the impulse along the unit vector against the gradient.
-      `carried` is adjoint . change: how much the loss changes because this contact does.
+      `impulse` {3} (N s) acts on shape1. `adjoint` {3} is the derivative of the loss by the
+      impulse. `change` {3} is the derivative of the impulse along the unit vector against the
+      gradient. `carried` is adjoint . change: the part of the loss's change due to this contact.
 
-      A penalty contact pushes over several steps. Its `change` leaves out what changes of the same
-      pair in earlier steps cause. The sum of `carried` over the steps of a pair is the part of the
-      derivative that goes through the pair.
+      A penalty contact pushes over several steps. Its `change` leaves out the effect of the same
+      pair's changes in earlier steps. The sum of `carried` over the steps of a pair is the part of
+      the derivative that goes through the pair.
 
-    suspects: a dict per pair and cause whose drift is above 1 % of the largest |H|, the largest
-      first. The keys are `step`, `world`, `shape0`, `shape1`, `drift` and `cause`.
+    suspects: one dict per pair and cause whose drift is above 1 % of the largest |H|, in descending
+      order of drift. The keys are `step`, `world`, `shape0`, `shape1`, `drift` and `cause`.
     info: the GradientInfo of the tape.
     """
 
@@ -57,7 +59,7 @@ class AdjointRecord:
         )
 
     def __str__(self) -> str:
-        """Return the suspects and the contacts that carried most, as text."""
+        """Return the suspects and the eight contacts with the largest |carried| as text."""
         lines = [f"{self.info.label}: {self.info.reason}"]
         for s in self.suspects:
             lines.append(f"step {s['step']}: {s['cause']}, H drifts by {100 * s['drift']:.3g} %")
@@ -66,7 +68,7 @@ class AdjointRecord:
         return "\n".join(lines)
 
     def _touches(self) -> list[Row]:
-        """Return the contacts; the steps of a touch of a spring are one row with their sum."""
+        """Return the contacts. The steps of one penalty contact are one row with their sum."""
         rows, open_ones = list[Row](), dict[Any, Row]()
         for c in self.contacts:
             key = _pair_of_world(c)
@@ -79,12 +81,15 @@ class AdjointRecord:
 
 
 def pair_of(row: Row) -> str:
-    """Name the pair of a contact."""
+    """Return "shapes A and B" for the pair of a contact."""
     return f"shapes {row['shape0']} and {row['shape1']}"
 
 
 def _times(steps: list[Row]) -> list[float]:
-    """Return the times (s) of the boundaries; a step whose number does not follow begins anew."""
+    """Return the times (s) of the boundaries.
+
+    A step whose number is not above the previous one starts a new rollout at number * dt.
+    """
     times, now = list[float](), 0.0
     for k, step in enumerate(steps):
         if k == 0 or step["number"] <= steps[k - 1]["number"]:
@@ -108,7 +113,7 @@ def _contacts(steps: list[Row]) -> list[Row]:
 
 
 def _smooth_rates(step: Row, hit: bool) -> Numbers | None:
-    """Return f = (new rates, accelerations) of a step; None where it is not smooth or known."""
+    """Return f = (new velocities, accelerations) of a step; None if unknown or not smooth."""
     if not step["rates"] or (hit and not step["of_springs"]):
         return None
     return np.array(step["rates"])
@@ -133,12 +138,12 @@ def _boundaries(steps: list[Row], contacts: list[Row]) -> list[Row]:
 
 
 def _misses(steps: list[Row], smooth: list[Numbers | None]) -> list[float]:
-    """Return the changes of H over each step: start . f_before - end . f_behind.
+    """Return the change of H over each step: start . f_before - end . f_behind.
 
-    The gradients by the states before and after the step are start and end. The rate of the state
-    is f_before in this step, and f_behind in the next step. A step that begins a contact counts
-    together with the next step, because the derivative of a landing takes two steps. The rates are
-    then those before both steps and in the second step.
+    `start` and `end` are the gradients by the states before and after the step. The state changes
+    at the rate f_before in this step, and at f_behind in the next step. A step in which a contact
+    begins is joined with the next step, because the derivative of a landing takes two steps.
+    Then f_before is the rate before both steps, and f_behind the rate in the second step.
     """
     misses, k = [0.0] * len(steps), 1
     while k + 1 < len(steps):
@@ -159,7 +164,7 @@ def _misses(steps: list[Row], smooth: list[Numbers | None]) -> list[float]:
 
 
 def _changes(here: list[Row], next_ones: list[Row]) -> list[Row]:
-    """Return the contacts of pairs that push in one of two consecutive steps only."""
+    """Return the contacts of pairs that push in exactly one of two consecutive steps."""
     pairs = [{_pair_of_world(c) for c in rows} for rows in (here, next_ones)]
     return [c for c in [*here, *next_ones] if _pair_of_world(c) in pairs[0] ^ pairs[1]]
 
@@ -178,7 +183,7 @@ def _suspects(
     worst: dict[Any, Row] = {}
     for row in boundaries:
         here = by_step.get(row["step"], [])
-        # The force of a spring begins and ends between two steps.
+        # The force of a penalty contact begins or ends between this step and the next one.
         changed = _changes(here, by_step.get(row["step"] + 1, [])) if row["step"] in springs else []
         here = changed or here
         if row["drift"] <= SUSPECT or not here:

@@ -1,4 +1,4 @@
-"""Tensors over memory of other libraries, by the protocol ``__cuda_array_interface__``."""
+"""Tensors that share device memory of other libraries, by ``__cuda_array_interface__``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _NAME = "from_cuda_array_interface"
 
 
 def _is_packed(shape: tuple[int, ...], strides: tuple[int, ...]) -> bool:
-    """Return whether rows of four-byte values are contiguous."""
+    """Return whether an array of four-byte values with these strides (bytes) has no gaps."""
     packed = (4 * math.prod(shape[k + 1 :]) for k in range(len(shape)))
     steps = zip(shape, strides, packed, strict=True)
     return 0 in shape or all(n == 1 or given == wanted for n, given, wanted in steps)
@@ -21,21 +21,22 @@ def _is_packed(shape: tuple[int, ...], strides: tuple[int, ...]) -> bool:
 def from_cuda_array_interface(obj: Any, device: Any = "cuda:0") -> Tensor:
     """Return a tensor over device memory of another library, without a copy.
 
-    Use this function for objects without DLPack. `from_dlpack` also finds the device and waits for
-    any stream. The protocol is Numba's CUDA array interface, versions 2 and 3.
+    Use this function for objects without DLPack. For other objects `from_dlpack` is better: it also
+    finds the device and waits for any stream. The protocol is Numba's CUDA array interface,
+    versions 2 and 3.
 
     Args:
-        obj: an object with ``__cuda_array_interface__``; the tensor keeps it alive. Its values are
-            float32 or int32, in packed rows, and complete in the order of the default stream.
-        device: the device of the memory, which the protocol does not give.
+        obj: an object with ``__cuda_array_interface__``, which the tensor keeps alive. Its values
+            are float32 or int32 in row-major order without gaps. Work that writes them must have
+            been submitted to the default stream.
+        device: the device of the memory, because the protocol does not name the device.
 
     Returns:
         A tensor with the object's shape. Writing to the tensor writes to the object.
 
     Raises:
         TypeError: the object has no such interface, or its values have another type.
-        ValueError: the rows are not packed, values are masked, or the values are not complete in
-            the default stream.
+        ValueError: the values have gaps or a mask, or the object names another stream.
         BufferError: the memory is read-only.
     """
     interface = getattr(obj, "__cuda_array_interface__", None)

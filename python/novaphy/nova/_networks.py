@@ -1,4 +1,4 @@
-"""Log densities of policies, and files with parameters."""
+"""Log densities of Gaussian policies, and .npz files with parameters of networks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .._core.nova import Tensor, exp, float32, softplus, sum, tensor
 
 _HALF_LOG_2_PI, _LOG_2 = 0.9189385332, 0.6931471806
 _META = "meta"
-# Names that parameters may not have: that of meta, and arguments of numpy.savez.
+# Names that parameters may not have: the entry for meta, and arguments of numpy.savez.
 _RESERVED = (_META, "file", "path", "allow_pickle")
 # The errors that NumPy and zipfile raise for damaged files.
 _DAMAGED = (
@@ -32,19 +32,19 @@ def gaussian_log_density(
     """Return the log density of actions of a Gaussian policy, recorded on an active tape.
 
     Args:
-        u: samples of the Gaussian, before the tanh, {n, k}.
+        u: samples of the Gaussian before the tanh, {n, k}: n samples of k action components.
         mean: mean of the Gaussian, {n, k}.
-        log_std: logarithm of the standard deviation, {n, k} or {k}.
-        squashed: whether the action is tanh(u). The density then has the term -log(1 - tanh(u)^2)
-            for every column. The form 2 (log 2 - u - softplus(-2 u)) avoids cancellation
+        log_std: natural logarithm of the standard deviation, {n, k} or {k}.
+        squashed: True: return the log density of the action tanh(u). Each column then has the term
+            -log(1 - tanh(u)^2), computed without cancellation as -2 (log 2 - u - softplus(-2 u))
             (Haarnoja et al., "Soft actor-critic algorithms and applications", 2018, appendix C).
-            False: the density of u.
+            False: return the log density of u.
 
     Returns:
-        {n}, the sum over columns.
+        {n}: the log density of each sample, summed over its k components.
 
     Raises:
-        ValueError: another shape.
+        ValueError: the shapes do not fit.
     """
     if u.ndim != 2 or mean.shape != u.shape:
         raise ValueError(f"mean: expected the shape of u, {{n, k}}, got {mean.shape} and {u.shape}")
@@ -104,7 +104,10 @@ def load_parameters(
     Args:
         path: the file; pickled objects in the file are refused.
         like: float32 tensors with the expected names and shapes. Either all of them get the values
-            of the file and are returned, or none is changed. None: new tensors are returned.
+            of the file and are returned, or no tensor is changed. None: new tensors are returned.
+
+    Returns:
+        The tensors by name, and meta.
 
     Raises:
         FileNotFoundError: the file does not exist.
@@ -152,7 +155,7 @@ def _tensor(value: Any, name: str) -> Tensor:
 
 
 def _read(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Return the arrays of an archive by name, all float32 and finite, and its meta."""
+    """Return the arrays of an archive by name, all float32 and finite, and the meta data."""
     where = os.fspath(path)
     with open(path, "rb") as file:  # an OSError here means a missing or unreadable file
         try:

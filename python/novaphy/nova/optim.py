@@ -1,8 +1,8 @@
 """Optimizers for several parameters: SGD with momentum, and Adam.
 
-``step()`` and ``zero_grad()`` are kernels on fixed memory and do not read values on the host. A
-``nova.ScopedCapture`` can therefore record them. Each launch of the graph is then one step, with
-the bits of ``step()``.
+``step()`` and ``zero_grad()`` launch kernels on fixed memory and do not read values on the host.
+Therefore ``nova.ScopedCapture`` can record them. Each launch of the recorded graph is then one
+step, with the same bits as ``step()``.
 """
 
 from .._core.nova import SGD, Adam

@@ -42,7 +42,7 @@ if has_diff():
 if has_diff() and has_vbd():
     from .._core.solvers import DiffSolverVBD
 
-    VbdGradientInfo = GradientInfo  # its name before all solvers had one
+    VbdGradientInfo = GradientInfo  # the older name, from when only VBD had a GradientInfo
     __all__ += ["DiffSolverVBD", "VbdGradientInfo"]
 
 explain_members(SolverBase, base="SolverBase")

@@ -18,7 +18,7 @@ __all__ = ["assert_allclose", "assert_gradcheck", "assert_same_bits", "assert_sa
 def assert_same_bits(actual: Any, expected: Any, what: str = "array") -> None:
     """Assert that two arrays have the same shape, dtype and bits.
 
-    Two NaNs are equal; +0 and -0 are not.
+    NaNs of the same bits are equal. +0 and -0 differ.
     """
     a, b = np.asarray(actual), np.asarray(expected)
     if a.shape != b.shape or a.dtype != b.dtype:

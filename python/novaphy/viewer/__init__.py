@@ -36,7 +36,7 @@ __all__ = [
     "create_viewer",
 ]
 
-# Name -> the module that has it, imported at its first use.
+# Class name -> the module with the class, which is imported at the first use of the name.
 _LATER = {"ViewerGL": "_gl", "ViewerHTML": "_html", "ViewerViser": "_viser"}
 _KINDS = {
     "gl": "ViewerGL",
@@ -50,7 +50,7 @@ _KINDS = {
 def create_viewer(kind: str, **options: Any) -> Viewer:
     """Make a viewer by name: "gl", "viser", "html", "file" or "null".
 
-    Options are passed to its constructor. ValueError: any other name.
+    `options` are the arguments of the viewer's constructor. ValueError: an unknown kind.
     """
     if kind not in _KINDS:
         expected = ", ".join(map(repr, _KINDS))

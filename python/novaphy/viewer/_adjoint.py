@@ -1,4 +1,4 @@
-"""Pages and arrows of an adjoint record: the debugger of gradients."""
+"""The views of an adjoint record: a part of a page over time, and arrows of contacts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 KEPT = ("step", "time", "point", "impulse", "adjoint", "carried", "held")
 COLORS = {"impulse": (0.16, 0.44, 0.72), "adjoint": (0.82, 0.26, 0.1)}
-THICKNESS = 0.03  # part of the longest arrow's length
+THICKNESS = 0.03  # width of an arrow, as a part of the longest arrow's length
 
 
 def pair_name(row: dict[str, Any]) -> str:
@@ -25,14 +25,14 @@ def pair_name(row: dict[str, Any]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value with seven digits; JSON knows no NaN."""
+    """Return a value with seven digits for JSON. NaN and infinity become None."""
     if isinstance(value, float):
         return float(f"{value:.7g}") if np.isfinite(value) else None
     return [_plain(v) for v in value] if isinstance(value, list) else value
 
 
 def fragment(record: AdjointRecord) -> str:
-    """Return the part of a page that shows a record over time."""
+    """Return the HTML of the part of a page that shows a record over time."""
     times = {row["step"]: row["time"] for row in record.boundaries}
     content = {
         "title": f"{record.info.label}: {record.info.reason}",
@@ -56,7 +56,10 @@ def fragment(record: AdjointRecord) -> str:
 
 
 def check_record(record: AdjointRecord, length: float) -> None:
-    """Raise TypeError for another type, and ValueError for no steps or a wrong length."""
+    """Check a record and the length (m) of its longest arrow.
+
+    TypeError: not an AdjointRecord. ValueError: no steps, or a length that is not positive.
+    """
     if not hasattr(record, "boundaries"):
         raise TypeError(
             "log_adjoint_record, record: expected an AdjointRecord (tape.adjoint_record()), got "
@@ -69,16 +72,16 @@ def check_record(record: AdjointRecord, length: float) -> None:
 
 
 def _later(time: float) -> float:
-    """Return a time (s) with the rounding of a float32 step added."""
+    """Return a time (s) plus a tolerance for the rounding of float32 time steps."""
     return time + 1e-7 + 1.2e-7 * abs(time) if np.isfinite(time) else time
 
 
 def log_arrows_between(
     viewer: SceneViewer, record: AdjointRecord, after: float, until: float, length: float
 ) -> None:
-    """Draw the arrows of contacts whose steps start after one time (s), until another.
+    """Draw the arrows of contacts whose steps start in the times (after, until] (s).
 
-    length: the length (m) of the longest impulse, and of the longest adjoint.
+    length: the length (m) of the longest impulse arrow, and of the longest adjoint arrow.
     """
     late = [c for c in record.contacts if _later(after) < c["time"] <= _later(until)]
     starts = np.array([c["point"] for c in late], np.float32).reshape(-1, 3)
@@ -86,6 +89,6 @@ def log_arrows_between(
         lengths = np.array([np.linalg.norm(c[name]) for c in record.contacts])
         longest = max(lengths[np.isfinite(lengths)], default=0.0) or 1.0
         vectors = np.array([c[name] for c in late], np.float64).reshape(-1, 3)
-        vectors[~np.isfinite(vectors).all(axis=1)] = 0.0  # no arrow
+        vectors[~np.isfinite(vectors).all(axis=1)] = 0.0  # a length of 0 draws no arrow
         along = (vectors * (length / longest)).astype(np.float32)
         viewer.log_arrows(f"adjoint/{name}", starts, starts + along, color, THICKNESS * length)

@@ -1,4 +1,4 @@
-"""The time axis of an adjoint record over the image of ViewerGL."""
+"""The time axis of an adjoint record, which ViewerGL draws over its image."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ if TYPE_CHECKING:
     from ..nova import AdjointRecord
 
 SIZE = (104, 504)  # pixels: height, width
-CURVES = {"norm": (4, 44, CURVE), "h": (48, 88, (0.48, 0.25, 0.63))}  # top, bottom, color
+CURVES = {"norm": (4, 44, CURVE), "h": (48, 88, (0.48, 0.25, 0.63))}  # top, bottom (pixels), RGB
 EVENT, SUSPECT, CONTACT = (0.1, 0.5, 0.22), (0.82, 0.26, 0.1), (0.48, 0.53, 0.6)
-TICKS = (91, 103)  # pixels: top and bottom of the marks of contacts
-NEAR = 4  # pixels around a mark that select it
+TICKS = (91, 103)  # pixels: top and bottom of the marks of events
+NEAR = 4  # pixels: a click at most this far from a mark selects the mark
 SHOWN_CONTACTS = 4
 LEGEND = "blue |gradient|, violet H, green events, red suspects, ticks contacts (red: held)"
 
 
 class AdjointAxis:
-    """Curves and marks of a record over time, and the text of one step.
+    """Curves and marks of an adjoint record over time, and a text about one step.
 
     Attributes:
-        selected: the step that a click selected; None: that of the time shown.
+        selected: the step that a click selected; None: the step at the time shown.
     """
 
     def __init__(self, record: AdjointRecord, length: float) -> None:
-        """Take a record, and the length (m) of the longest arrow."""
+        """Make the axis of a record; `length` (m) is the length of the longest arrow."""
         self.record, self.length = record, length
         self.selected: int | None = None
         self._times = np.array([row["time"] for row in record.boundaries])
-        self._shown = (-np.inf, -np.inf)  # s: the times of the last two frames
+        self._shown = (-np.inf, -np.inf)  # times of the last two frames (s)
         base = np.zeros((*SIZE, 4), np.float32)
         for contact in record.contacts:
             color = SUSPECT if contact["held"] else CONTACT
@@ -50,11 +50,11 @@ class AdjointAxis:
         self._base = base
 
     def _even(self) -> np.ndarray:
-        """Return the times of the pixel columns (s)."""
+        """Return the time of each pixel column (s)."""
         return np.linspace(float(self._times[0]), float(self._times[-1]), SIZE[1])
 
     def _time_of(self, row: dict[str, Any]) -> float:
-        """Return the time of an event, or of the step of a suspect (s)."""
+        """Return the time (s) of an event, or the start time (s) of a suspect's step."""
         return row["time"] if "time" in row else float(self._times[self._row_of(row["step"])])
 
     def _row_of(self, step: int) -> int:
@@ -72,7 +72,7 @@ class AdjointAxis:
         return coverage
 
     def select(self, column: float) -> None:
-        """Select the step at a pixel column; a suspect or an event near it comes first."""
+        """Select the step of a suspect or event near a pixel column, else the column's own step."""
         marks = [*self.record.suspects, *self.record.info.event_list]
         near = [m["step"] for m in marks if abs(self._column(self._time_of(m)) - column) <= NEAR]
         time = self._even()[round(min(max(column, 0.0), SIZE[1] - 1.0))]
@@ -80,7 +80,7 @@ class AdjointAxis:
         self.selected = near[0] if near else self.record.boundaries[row]["step"]
 
     def times_shown(self, time: float) -> tuple[float, float]:
-        """Return the times between which steps start whose arrows are shown at `time` (s)."""
+        """Return two times (s): arrows of the steps that start between them are shown at `time`."""
         if self.selected is not None:
             at = float(self._times[self._row_of(self.selected)])
             return at - 2e-7, at
@@ -90,7 +90,7 @@ class AdjointAxis:
         return self._shown
 
     def block(self, time: float) -> np.ndarray:
-        """Return the axis with the time shown, and its text, {h, w, 4} with alpha last."""
+        """Return the image {h, w, 4} (RGBA) of the axis with a mark at `time` (s), and the text."""
         row = (
             int(np.argmin(np.abs(self._times - time)))
             if self.selected is None
@@ -107,7 +107,7 @@ class AdjointAxis:
         return out
 
     def lines(self, row: int) -> list[str]:
-        """Return the text of a boundary: its step, events and contacts."""
+        """Return the lines of text about a boundary: its step, events and contacts."""
         here = self.record.boundaries[row]
         step, h = here["step"], here["h"]
         lines = [

@@ -1,4 +1,4 @@
-"""The interface of all viewers. The methods here do nothing."""
+"""The common interface of all viewers, as a base class whose methods do nothing."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from .._core import Contacts, Model, SimState
 
-# DeviceArray, nova.Tensor, numpy.ndarray or nested sequences.
+# A DeviceArray, nova.Tensor, numpy.ndarray or nested sequence of numbers.
 ArrayLike = Any
 
 
@@ -43,10 +43,13 @@ class Slider:
 
 
 class Viewer:
-    """A viewer that shows nothing. Positions are in m, world frame; colors are RGB in 0..1."""
+    """A viewer that shows nothing.
+
+    Positions are in m in the world frame. Colors are RGB from 0 to 1.
+    """
 
     def __init__(self) -> None:
-        """Start without a model, running, not paused."""
+        """Start the viewer without a model. The viewer is running and not paused."""
         self.model: Model | None = None
         self.time = 0.0
         self._running = True
@@ -71,10 +74,10 @@ class Viewer:
         """Make the camera track a body of the model horizontally; None: stop tracking."""
 
     def set_world_offsets(self, spacing: ArrayLike) -> None:
-        """Show the worlds of a model at distances of `spacing` (m)."""
+        """Show world k of a model displaced by k times `spacing` {3} (m)."""
 
     def begin_frame(self, t: float) -> None:
-        """Start a frame at time `t` (s). The following log_* calls belong to it."""
+        """Start a frame at time `t` (s). The log_* calls up to end_frame belong to the frame."""
         self.time = float(t)
 
     def end_frame(self) -> None:
@@ -90,9 +93,9 @@ class Viewer:
         """Show the contacts of a state."""
 
     def set_shape_colors(self, shapes: ArrayLike, colors: ArrayLike) -> None:
-        """Set the colors {n, 3} of shapes {n} of the model; other shapes get their own colors.
+        """Set the colors {n, 3} of shapes {n} (indices); all other shapes get their default colors.
 
-        Colors {n, 4} have the contrast of a checker pattern as fourth number (0 to 1, 0: no
+        In colors {n, 4} the fourth number is the contrast of a checker pattern (0 to 1; 0: no
         pattern).
         """
 
@@ -108,7 +111,7 @@ class Viewer:
         backface_culling: bool = True,
         color: Sequence[float] | None = None,
     ) -> None:
-        """Show triangles: points {n, 3} (m), indices {m, 3}."""
+        """Show a triangle mesh with points {n, 3} (m) and indices {m, 3}."""
 
     def log_instances(
         self,
@@ -120,7 +123,7 @@ class Viewer:
         materials: ArrayLike | None = None,
         hidden: bool = False,
     ) -> None:
-        """Show copies of a mesh at transforms {n, 7} (m, quaternion xyzw)."""
+        """Show copies of the mesh named `mesh` at transforms {n, 7} (m, quaternion xyzw)."""
 
     def log_shapes(
         self,
@@ -131,7 +134,10 @@ class Viewer:
         colors: ArrayLike | None = None,
         materials: ArrayLike | None = None,
     ) -> None:
-        """Show copies of a shape (GeoType and its scale) at transforms {n, 7}."""
+        """Show copies of a primitive at transforms {n, 7} (m, quaternion xyzw).
+
+        `geo_type` is a GeoType, and `geo_scale` {3} or {n, 3} its shape_scale (m).
+        """
 
     def log_lines(
         self,
@@ -166,10 +172,10 @@ class Viewer:
         """Show points {n, 3} with radii {n} (m)."""
 
     def log_array(self, name: str, array: ArrayLike) -> None:
-        """Plot an array."""
+        """Plot the values of an array as a curve."""
 
     def log_scalar(self, name: str, value: float) -> None:
-        """Add a value to a plot over time."""
+        """Add the value of this frame to a plot over time."""
 
     def log_image(self, name: str, image: ArrayLike) -> None:
         """Show an image {h, w, 3}, uint8."""
@@ -185,13 +191,13 @@ class Viewer:
         """Add a slider for a number between `low` and `high`; calling the slider returns the
         number.
 
-        Without a user the number stays at `value`. `on_change` is called with each new value.
+        In a viewer without input the number stays at `value`. `on_change` gets each new value.
         ValueError unless low <= value <= high and low < high.
         """
         return Slider(name, low, high, value, on_change)
 
     def apply_forces(self, state: SimState) -> None:
-        """Add the forces of the user's pointer to a state."""
+        """Add the force of a drag with the pointer to the particle_f or body_f of a state."""
 
     def clear(self) -> None:
         """Remove the model and all drawings."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-FIELD_OF_VIEW = 40.0  # degrees, upright
-CLOSEST = 1e-3  # m
+FIELD_OF_VIEW = 40.0  # degrees, from the bottom to the top of the image
+CLOSEST = 1e-3  # m, smallest distance of the camera from its target
 
 
 class Camera:
@@ -17,16 +17,16 @@ class Camera:
         self.is_set = False
         self.target = np.zeros(3)
         self.distance = 5.0
-        self.yaw, self.pitch = 55.0, -20.0  # degrees: the direction of sight
+        self.yaw, self.pitch = 55.0, -20.0  # viewing direction (degrees)
 
     @property
     def up(self) -> np.ndarray:
-        """The up direction of the world."""
+        """The up direction of the world, a unit vector {3}."""
         return np.eye(3)[self.up_axis]
 
     @property
     def forward(self) -> np.ndarray:
-        """The viewing direction."""
+        """The viewing direction, a unit vector {3}."""
         yaw, pitch = np.radians([self.yaw, self.pitch])
         direction = np.zeros(3)
         direction[(self.up_axis + 1) % 3] = np.cos(yaw) * np.cos(pitch)
@@ -40,7 +40,7 @@ class Camera:
         return self.target - self.distance * self.forward
 
     def place(self, pos: np.ndarray, pitch: float | None, yaw: float | None) -> None:
-        """Move the camera to `pos`; without angles the camera looks at the target."""
+        """Move the camera to `pos` (m). Without angles (degrees) the camera looks at its target."""
         away = self.target - pos
         self.distance = max(float(np.linalg.norm(away)), CLOSEST)
         flat = away[[(self.up_axis + 1) % 3, (self.up_axis + 2) % 3]]
@@ -72,12 +72,12 @@ class Camera:
         self.is_set = True
 
     def zoom(self, factor: float) -> None:
-        """Scale the distance to the target; below 1 the camera gets nearer."""
+        """Multiply the distance to the target by a factor; below 1 the camera gets nearer."""
         self.distance = max(self.distance * factor, CLOSEST)
         self.is_set = True
 
     def axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the right, up and forward directions of the image."""
+        """Return the right, up and forward directions of the image, unit vectors {3}."""
         forward = self.forward
         side = np.cross(forward, self.up)
         side /= np.linalg.norm(side)

@@ -11,7 +11,7 @@ from .._core import SimState
 if TYPE_CHECKING:
     from ._scene_viewer import SceneViewer
 
-DRAG_RATE = 6.0  # 1/s, the frequency of a critically damped spring that pulls
+DRAG_RATE = 6.0  # rad/s, angular frequency of the critically damped spring of a drag
 PICK_PIXELS = 40.0
 
 
@@ -21,24 +21,24 @@ class Drag:
     def __init__(self, viewer: SceneViewer) -> None:
         """Start without a dragged object."""
         self.viewer = viewer
-        self.item: tuple[str, int] | None = None  # "body" or "particle", and which
+        self.item: tuple[str, int] | None = None  # ("body" or "particle", its index)
         self.goal = np.zeros(3)
-        self.grip = np.zeros(3)  # from the point under the pointer to where the item is
+        self.grip = np.zeros(3)  # vector (m) from the grabbed point to the position of the item
         self.depth = 0.0
 
     def candidates(self) -> list[tuple[str, int, np.ndarray]]:
-        """Return the bodies and particles of the last state: kind, index, position."""
+        """Return (kind, index, position {3} (m)) of the bodies and particles of the last state."""
         latest = self.viewer.latest_state
         out = [("body", k, row[:3]) for k, row in enumerate(latest.get("body_q", ()))]
         return out + [("particle", k, row) for k, row in enumerate(latest.get("particle_q", ()))]
 
     def place(self, item: tuple[str, int]) -> np.ndarray:
-        """Return the position of a body or particle in the last state."""
+        """Return the position {3} (m) of a body or particle in the last state."""
         rows = self.viewer.latest_state[f"{item[0]}_q"]
         return np.asarray(rows[item[1]][:3], np.float64)
 
     def pick(self, x: float, y: float, size: tuple[int, int]) -> tuple[str, int, np.ndarray] | None:
-        """Return the nearest body at a pixel, else the nearest object within PICK_PIXELS."""
+        """Return the first body at a pixel, else the nearest candidate within PICK_PIXELS."""
         found = self.candidates()
         if not found:
             return None
@@ -60,7 +60,7 @@ class Drag:
             self.hold(found[:2], self._point(x, y, size))
 
     def hold(self, item: tuple[str, int], point: np.ndarray) -> None:
-        """Start dragging an object at one of its points."""
+        """Start dragging a body or particle at a point {3} (m)."""
         self.grip = self.place(item) - point
         self.item = item
         self.pull(point)
@@ -70,7 +70,7 @@ class Drag:
         self.pull(self._point(x, y, size))
 
     def pull(self, point: np.ndarray) -> None:
-        """Set the target so that the dragged point moves to `point`."""
+        """Set the goal of the spring so that the grabbed point moves to `point` {3} (m)."""
         self.goal = point + self.grip
 
     def stop(self) -> None:
@@ -83,7 +83,7 @@ class Drag:
         return np.asarray(camera.pos + ray * (self.depth / (ray @ camera.forward)))
 
     def nearest_to_middle(self) -> int | None:
-        """Return the candidate nearest to the center of the image."""
+        """Return the number of the candidate nearest to the center of the image; None: no one."""
         found = self.candidates()
         if not found:
             return None
@@ -91,13 +91,17 @@ class Drag:
         return int(np.argmin([np.linalg.norm(place - target) for _, _, place in found]))
 
     def look_at(self, number: int) -> None:
-        """Make the camera look at a candidate."""
+        """Set the camera's target to the candidate of this number."""
         found = self.candidates()
         if number < len(found):
             self.viewer.camera.target = np.asarray(found[number][2], np.float64)
 
     def apply(self, state: SimState) -> None:
-        """Add the force m (w² (goal - x) - 2 w v) to the dragged object, w = DRAG_RATE."""
+        """Add the force of a critically damped spring to the forces of the dragged item.
+
+        The force is m (w² (goal - x) - 2 w v), with the item's mass m, position x and velocity v,
+        and w = DRAG_RATE.
+        """
         model, item = self.viewer.model, self.item
         if item is None or model is None:
             return

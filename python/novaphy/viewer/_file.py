@@ -19,7 +19,7 @@ from ._model_scene import draw_contacts, model_arrays
 from ._recording import Call, Frame
 
 STATE_FIELDS = ("particle_q", "particle_qd", "body_q", "body_qd", "joint_q", "joint_qd")
-# Calls that are recorded as they are. The last one of a name holds until the next.
+# Calls that are recorded with their arguments. A call replaces the last call with its name.
 DRAWINGS = (
     "set_camera",
     "look_at",
@@ -55,8 +55,8 @@ class ViewerFile(Viewer):
         """Record to `output_path`.
 
         With auto_save the frames are written in chunks of `save_interval` frames, and when the
-        viewer is closed. A program that is killed loses only the frames since the last chunk. At
-        most the last `max_history_size` frames are kept (None: all).
+        viewer is closed. A program that is killed loses only the frames since the last chunk. With
+        a `max_history_size` only that many last frames are kept; None keeps all frames.
 
         A name that ends in .npz selects a single archive that NumPy can open. The archive has no
         drawings and is rewritten at every save. ValueError: a number below 1, or a folder that does
@@ -80,8 +80,8 @@ class ViewerFile(Viewer):
         self._calls: list[Call] = []
         self._latest: dict[tuple[str, str], dict[str, Any]] = {}
         self._file: BinaryIO | None = None
-        self._end = 0  # bytes of complete records
-        self._unsaved: list[Frame] = []  # with auto_save
+        self._end = 0  # length (bytes) of the file up to the last complete chunk
+        self._unsaved: list[Frame] = []  # frames that auto_save has not written yet
 
     @property
     def frame_count(self) -> int:
@@ -102,7 +102,7 @@ class ViewerFile(Viewer):
         """Add a model given by its arrays to the recording."""
         self._model_arrays = dict(arrays)
         self._up_axis = int(up_axis)
-        if self._file is not None:  # a file begins with its model: write a new one
+        if self._file is not None:  # the model is the first chunk, so start a new file
             self._close_file()
             self._unsaved = list(self._frames)
 
@@ -161,8 +161,8 @@ class ViewerFile(Viewer):
     def _save_new(self) -> None:
         """Write the unsaved frames to output_path.
 
-        Frames that were written stay in the file after an exception, such as Ctrl-C. The next call
-        writes the rest.
+        After an exception, such as Ctrl-C, the file keeps the frames that were written. The next
+        call writes the remaining frames.
         """
         if self._is_archive(self.output_path) or self._frames.maxlen is not None:
             self.save_recording()
@@ -255,9 +255,9 @@ class ViewerFile(Viewer):
             latest: dict[Any, Call] = {}
             for k in range(last + 1):
                 for n, (call, arguments) in enumerate(self._frames[k].calls):
-                    if call == "follow":  # the camera has gone along from there
+                    if call == "follow":  # the camera moves with the body from that frame on
                         followed = self._frames[k].state
-                    adds = call == "log_scalar"  # to its curve; all others replace
+                    adds = call == "log_scalar"  # adds to a curve; other calls replace a drawing
                     latest[(k, n) if adds else (call, arguments.get("name"))] = (call, arguments)
             calls = list(latest.values())
         viewer.begin_frame(held.time)
@@ -342,7 +342,7 @@ def _same(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
 
 
 def _carry_drawings(dropped: Frame, after: Frame) -> None:
-    """Move drawings of a dropped frame that are still visible to the next frame."""
+    """Move the drawings of a dropped frame to the next frame, unless that frame replaces them."""
     replaced = {(call, arguments.get("name")) for call, arguments in after.calls}
     after.calls = [
         (call, arguments)
@@ -352,7 +352,7 @@ def _carry_drawings(dropped: Frame, after: Frame) -> None:
 
 
 def _write_runs(file: BinaryIO, frames: list[Frame]) -> None:
-    """Write frames with and without a state as separate chunks."""
+    """Write frames in chunks, each of frames that all have a state or all have none."""
     start = 0
     for k in range(1, len(frames) + 1):
         if k == len(frames) or bool(frames[k].state) != bool(frames[start].state):

@@ -16,8 +16,8 @@ def add_arguments(parser: argparse.ArgumentParser, default: int, unit: str) -> N
 
     Args:
         parser: the parser of a program.
-        default: default count for --headless, and for a window.
-        unit: unit of the count, such as "training iterations" or "frames".
+        default: the number of `unit` to run without --headless.
+        unit: what the number counts, such as "training iterations" or "frames".
     """
     parser.add_argument(
         "--headless",
@@ -42,9 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser, default: int, unit: str) -> N
 
 
 def check_arguments(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
-    """Check the flags, including one named --plot, and end the program with a message on an error.
+    """Check the flags, including --plot. On an error, exit the program with a message.
 
-    Sets `headless` to a number, and `live` to whether a user watches.
+    Sets args.headless to a number, and args.live to whether a user watches the run.
     """
     args.live = args.headless is None and args.viewer in (None, "gl", "viser")
     if args.headless is None:
@@ -68,7 +68,7 @@ def check_arguments(parser: argparse.ArgumentParser, args: argparse.Namespace) -
 
 
 def _check_plot(parser: argparse.ArgumentParser, path: str) -> None:
-    """End the program at its start if matplotlib cannot write the image."""
+    """Exit the program before its run if matplotlib cannot write the image."""
     try:
         from matplotlib.figure import Figure
     except ImportError:

@@ -25,17 +25,18 @@ from ._video import Video
 if TYPE_CHECKING:
     from ..nova import AdjointRecord
 
-DISPLAY_RATE = 60.0  # pictures per second that a window shows at most
-SHARE = 0.25  # of the time that a program gives to its window at most, unless it waits
-GRACE = 2e-3  # s: how long a program waits for its picture, so that a fast one is seen at once
+DISPLAY_RATE = 60.0  # largest number of images per second in a window
+SHARE = 0.25  # largest part of the program's time for drawing in a window, unless `waits` is set
+GRACE = 2e-3  # s: how long end_frame waits for an image, so that a fast one is shown at once
 
 
 class ViewerGL(SceneViewer):
     """Draws the scene on the GPU, in a window, or without a display through EGL.
 
-    Mouse: drag rotates the camera, drag with the right button moves it, and the wheel zooms. Drag
-    with control pulls a body or particle (see apply_forces). The text names the shape and the body
-    under the pointer. With imgui-bundle the window has a panel with switches and sliders.
+    Mouse: a drag rotates the camera, a drag with the right button moves the camera, and the wheel
+    zooms. A drag with the control key pulls a body or particle (see apply_forces). The text names
+    the shape and the body under the pointer. If imgui-bundle is installed, the window has a panel
+    with switches and sliders.
 
     Keys: space pauses, N steps, R resets, F tracks a body, H hides the text, P saves an image,
     escape closes. J shows joints, I inertias, C contacts, E the energy. Tab selects a slider; the
@@ -44,10 +45,10 @@ class ViewerGL(SceneViewer):
     Attributes:
         show_text: whether the box with time and scalars is drawn.
         curve: the scalar whose curve is drawn below the text.
-        reset_requested: set by R, until the caller sets it to False.
+        reset_requested: True after the key R, until the caller sets it to False.
         draw_calls: number of draw calls of the last image.
-        waits: whether a window shows every frame, at most DISPLAY_RATE per second, and the program
-            waits for it. Otherwise frames are skipped while the last image is drawn, and if drawing
+        waits: True: a window shows every frame, at most DISPLAY_RATE per second, and end_frame
+            waits for it. False: frames are skipped while the last image is drawn, and if drawing
             takes more than a quarter of the program's time.
         sliders: the sliders of add_slider.
     """
@@ -61,10 +62,10 @@ class ViewerGL(SceneViewer):
         paused: bool = False,
         title: str = "NovaPhy",
     ) -> None:
-        """Open a window of width x height pixels; headless: an image of that size.
+        """Open a window of width x height pixels. With `headless`, draw images without a window.
 
-        ImportError names the missing package. RuntimeError gives the reason why no context is
-        available.
+        ImportError: a package is missing; the message names it. RuntimeError: no OpenGL context is
+        available; the message has the reason.
         """
         super().__init__()
         if width < 1 or height < 1:
@@ -74,14 +75,14 @@ class ViewerGL(SceneViewer):
         self.reset_requested = False
         self.waits = False
         self.sliders: list[Slider] = []
-        self.slider: int | None = None  # the one that keys move
+        self.slider: int | None = None  # index of the slider that the arrow keys move
         self._paused = paused
         self._axis: AdjointAxis | None = None
         self._window: Any = None
         self._video: Video | None = None
         self._due = self._frame_at = 0.0
         self._frame_ms: float | None = None
-        self._drawn: tuple[Any, ...] | None = None  # further inputs of the last picture
+        self._drawn: tuple[Any, ...] | None = None  # the last image's inputs besides the scene
         if headless:
             self._context, samples = _headless_context(), 4
         else:
@@ -106,13 +107,15 @@ class ViewerGL(SceneViewer):
     def log_adjoint_record(self, record: AdjointRecord, length: float = 0.3) -> None:
         """Add a plot of a gradient over time above the text, and arrows of its contacts.
 
-        The plot shows the norm of the gradient, H (the adjoint times the rates), events and
-        suspects. Suspects are steps in which H changes. A click selects a step and pauses: see
-        selected_step. Times of frames are those of the record (s).
+        The plot shows the norm of the gradient, H, events and suspects. H is the gradient by the
+        state times the rate of the state, which smooth steps keep. Suspects are steps in which H
+        changes. A click selects a step and pauses: see selected_step. The times of frames must be
+        the times of the record (s).
 
         Args:
             record: the result of `tape.adjoint_record()`.
-            length: the length (m) of the longest impulse (blue) and of the longest adjoint (red).
+            length: the length (m) of the longest impulse arrow (blue) and of the longest adjoint
+                arrow (red).
 
         Raises:
             TypeError: `record` is no AdjointRecord.
@@ -123,7 +126,7 @@ class ViewerGL(SceneViewer):
 
     @property
     def selected_step(self) -> int | None:
-        """The step of the adjoint record that a click on the time axis selected, until resumed."""
+        """The step that a click on the time axis selected; None: none, or the run was resumed."""
         return None if self._axis is None else self._axis.selected
 
     def select_step_at(self, x: float, y: float) -> bool:
@@ -134,7 +137,7 @@ class ViewerGL(SceneViewer):
             y: pixels from the top.
 
         Returns:
-            whether the axis is shown there.
+            Whether the point is on the time axis.
         """
         column, row = x - BOX - MARGIN, y - BOX - MARGIN
         inside = 0 <= row < AXIS_SIZE[0] and 0 <= column < AXIS_SIZE[1]
@@ -145,7 +148,7 @@ class ViewerGL(SceneViewer):
         return True
 
     def end_frame(self) -> None:
-        """Show the frame: at once without a window, else at most at the rate of the display.
+        """Show the frame. Without a window every frame is drawn; a window may skip frames.
 
         In a window the program continues while the image is drawn, unless `waits` is set.
         """
@@ -183,7 +186,7 @@ class ViewerGL(SceneViewer):
                     self._due = max(self._due, begin + cost / SHARE)
 
     def draw(self) -> None:
-        """Draw the present scene."""
+        """Draw the scene into the image of get_frame."""
         self._place_camera()
         box = None
         if self.show_text:
@@ -266,7 +269,7 @@ class ViewerGL(SceneViewer):
         return slider
 
     def apply_forces(self, state: SimState) -> None:
-        """Add the pull of the pointer to a state's particle_f or body_f."""
+        """Add the force of a drag with the pointer to a state's particle_f or body_f."""
         if self._window is not None:
             self._window.drag.apply(state)
 

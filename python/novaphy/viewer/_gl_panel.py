@@ -1,4 +1,4 @@
-"""The panel of ViewerGL: switches and sliders by imgui-bundle, drawn with moderngl."""
+"""The panel of ViewerGL with switches and sliders, by imgui-bundle and drawn with moderngl."""
 
 from __future__ import annotations
 
@@ -106,9 +106,9 @@ class Panel:
         imgui, viewer = self.imgui, self.viewer
         width = self.window.width
         corner, first = (width - MARGIN, MARGIN), imgui.Cond_.first_use_ever
-        imgui.set_next_window_pos(corner, first, (1.0, 0.0))  # its right one above
+        imgui.set_next_window_pos(corner, first, (1.0, 0.0))  # pivot: the upper right corner
         imgui.set_next_window_size((WIDTH, 0.0), first)
-        # Longer than the window, it scrolls.
+        # A panel that is higher than the window gets a scroll bar.
         most = (float(width), max(self.window.height - 2.0 * MARGIN, MARGIN))
         imgui.set_next_window_size_constraints((WIDTH, 0.0), most)
         imgui.begin("NovaPhy", None, imgui.WindowFlags_.always_auto_resize)
@@ -163,7 +163,7 @@ class Panel:
         context.disable(context.BLEND)
 
     def _upload(self, name: str, source: Any, width: int) -> None:
-        """Write vertices or indices into the buffer of this name, which grows as needed."""
+        """Write vertices or indices into the buffer of this name. A small buffer is replaced."""
         size = source.size() * width
         buffer = getattr(self, name)
         if size > buffer.size:

@@ -12,13 +12,13 @@ from ._overlay import BOX
 from ._scene import Instances, Lines, Mesh, Part, Scene, f32
 
 HAZE = (0.93, 0.945, 0.96)
-LIGHT = (0.35, -0.45, 1.0)  # towards it; x, y around the upward axis
+LIGHT = (0.35, -0.45, 1.0)  # direction towards the light; the third number is along the up axis
 SHADOW_SIZE = 2048
-REACH = 9.0  # camera distances until a plane is lost in the haze
+REACH = 9.0  # distance of full haze, in units of the camera's distance to its target
 
 
 class Renderer:
-    """The shader programs, and GPU buffers that are updated from a scene's objects."""
+    """Shader programs, and GPU buffers that follow the objects of a scene."""
 
     def __init__(self, context: Any, samples: int) -> None:
         """Compile the shader programs."""
@@ -61,7 +61,7 @@ class Renderer:
         self.resolved = self.context.framebuffer([make(size, 4)])
 
     def draw(self, scene: Scene, camera: Camera, box: np.ndarray | None) -> None:
-        """Draw the scene with a text box on top into `resolved`."""
+        """Draw the scene into the framebuffer `resolved`, with a text box {h, w, 4} on top."""
         self.draw_calls = 0
         self._follow(scene)
         light = _light(camera.up_axis)
@@ -153,7 +153,7 @@ class Renderer:
         self.draw_calls += 1
 
     def _follow(self, scene: Scene) -> None:
-        """Update the buffers to the scene's revisions."""
+        """Upload the arrays of the scene whose revision changed."""
         for group, items in (
             (self._items, scene.instances),
             (self._lines, scene.lines),
@@ -216,7 +216,7 @@ class _Buffers:
         return self.buffers[field]
 
     def follow(self, item: object) -> bool:
-        """Write the changed arrays; return whether a buffer was replaced."""
+        """Upload the changed arrays of an object; return whether a buffer was replaced."""
         remade = False
         for field in self.fields:
             part: Part = getattr(item, field)
@@ -262,7 +262,7 @@ class _Drawable:
 
 
 def cell_size(distance: float) -> float:
-    """Return the size of a checker's squares (m) for a camera distance: a power of ten."""
+    """Return the size of the ground's checker squares (m), a power of ten, for a distance (m)."""
     return float(10.0 ** np.floor(np.log10(distance / 2.0)))
 
 
@@ -293,16 +293,19 @@ def _light(up_axis: int) -> np.ndarray:
 
 
 def _shadow_projection(camera: Camera, light: np.ndarray) -> np.ndarray:
-    """Return the matrix from world to the light's clip coordinates, around the camera's target."""
+    """Return the matrix {4, 4} from world to the clip coordinates of the shadow map.
+
+    The map is centered at the camera's target.
+    """
     side = np.cross(camera.up, light)
     side /= np.linalg.norm(side)
     axes = np.stack([side, np.cross(light, side), light])
     reach = camera.distance
-    # The center moves in whole texels, so that shadows do not flicker.
+    # The center is rounded to whole texels, so that shadows do not flicker as the camera moves.
     texel = 2.0 * reach / SHADOW_SIZE
     center = np.round(axes @ camera.target / texel) * texel
     matrix = np.eye(4)
     matrix[:3, :3] = axes / reach
     matrix[:3, 3] = -center / reach
-    matrix[2] *= -0.25  # four times as deep as wide; nearer to the light is less
+    matrix[2] *= -0.25  # the map is four times as deep as wide; depth grows away from the light
     return matrix

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ._gl_renderer import Renderer
 
 NAME_RATE = 10.0  # searches per second for the object under the pointer
-SLIDER_STEPS = 100.0  # of an arrow key, from end to end
+SLIDER_STEPS = 100.0  # number of arrow key presses that move a slider from end to end
 
 
 class Window:
@@ -31,7 +31,7 @@ class Window:
                 "headless=True draws without one"
             )
         pyglet.options["shadow_window"] = False
-        pyglet.options["debug_gl"] = False  # True checks for errors, also of moderngl, in each call
+        pyglet.options["debug_gl"] = False  # True: check for OpenGL errors after every call
         try:
             config = pyglet.gl.Config(double_buffer=True, major_version=3, minor_version=3)
             self.window = pyglet.window.Window(
@@ -39,7 +39,7 @@ class Window:
             )
             self.context = moderngl.create_context(require=330)
         except Exception as error:
-            # pyglet says so where it does not find a library.
+            # pyglet raises ImportError or AttributeError if it does not find a library.
             missing = isinstance(error, (ImportError, AttributeError))
             hint = ": apt-get install libgl1 libgl1-mesa-dri libxrender1" if missing else ""
             raise MissingPackageError(
@@ -52,12 +52,12 @@ class Window:
         self.drag = Drag(viewer)
         self.followed: int | None = None
         self._pointer: tuple[int, int] | None = None
-        self._name: str | None = None  # the object under the pointer
+        self._name: str | None = None  # name of the object under the pointer
         self._looked_at = 0.0
         self._held: set[int] = set()
         self._gl = pyglet.gl
         self._shown = False
-        self._fence: Any = None  # passed once the picture that was started is drawn
+        self._fence: Any = None  # OpenGL fence, signaled when the submitted image is drawn
         self.window.push_handlers(
             self.on_key_press, self.on_key_release, self.on_mouse_press, self.on_mouse_release,
             self.on_mouse_drag, self.on_mouse_scroll, self.on_mouse_motion, self.on_mouse_leave,
@@ -68,20 +68,18 @@ class Window:
 
     @property
     def is_drawing(self) -> bool:
-        """Whether an image was started that is not on the screen yet."""
+        """Whether a submitted image is not on the screen yet."""
         return self._fence is not None
 
     def start(self) -> None:
-        """Record that an image was submitted to the GPU, which draws it while the program
-        continues.
-        """
+        """Insert a fence after the commands of an image, which the GPU draws in the background."""
         self._fence = self._gl.glFenceSync(self._gl.GL_SYNC_GPU_COMMANDS_COMPLETE, 0)
         self._gl.glFlush()
 
     def show_finished(self, renderer: Renderer, wait: bool = False, grace: float = 0.0) -> None:
-        """Show the started image on the screen, and handle events.
+        """Show the submitted image on the screen, and handle events.
 
-        If the image is not ready after `grace` s, nothing happens unless `wait` is set.
+        If the image is not ready after `grace` (s), the call returns. With `wait` it waits.
         """
         if self._fence is None:
             return
@@ -99,7 +97,7 @@ class Window:
     def _show(self, renderer: Renderer) -> None:
         self.window.switch_to()
         self.context.screen.use()
-        screen = self.context.detect_framebuffer()  # its size now, which the user may have changed
+        screen = self.context.detect_framebuffer()  # the user may have changed the window's size
         self.context.copy_framebuffer(screen, renderer.resolved)
         if self.panel is not None:
             screen.use()

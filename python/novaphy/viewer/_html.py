@@ -27,23 +27,24 @@ if TYPE_CHECKING:
     from ..nova import AdjointRecord
 
 MESH_FIELDS = ("points", "shift", "indices")
-# Resolution of stored motion (_packing.py): positions have this many steps over the height of the
-# image at the camera's target, and components of quaternions have this quantum.
+# Resolution of stored motion (_packing.py). The height of the image at the camera's target has
+# STEPS_OF_PICTURE position steps. Quaternion components are rounded to QUATERNION_QUANTUM.
 STEPS_OF_PICTURE, QUATERNION_QUANTUM = 2**14, 2.0**-15
 MOVING = {"points": 3, "poses": 7, "starts": 3, "ends": 3}
 
 
 class ViewerHTML(SceneViewer):
-    """Collects frames, and writes a self-contained page when it is closed.
+    """Collects frames, and writes a self-contained page when the viewer is closed.
 
-    A frame whose time is not later than the previous one starts a new take, for example another
+    A frame that is not later than the previous frame starts a new take, for example the next
     iteration of a training. The page plays the takes in order and has a slider to select one.
-    Constant arrays are stored once. Positions are stored to 1/16384 of the height of the image at
-    the camera's target, and quaternions to 3e-5. Other values are stored unchanged.
+
+    Constant arrays are stored once. Positions are rounded to 1/16384 of the height of the image at
+    the camera's target, and quaternion components to 3e-5. Other values are stored unchanged.
     """
 
     def __init__(self, output_path: str | os.PathLike[str] | None, title: str = "NovaPhy") -> None:
-        """Write to `output_path`. None: only display in a notebook, or return page().
+        """Write the page to `output_path`. None: write no file; use page() or a notebook.
 
         ValueError: the folder does not exist.
         """
@@ -54,7 +55,7 @@ class ViewerHTML(SceneViewer):
             raise ValueError(f"ViewerHTML, output_path: there is no folder for {output_path}")
         self._times: list[float] = []
         self._takes: list[int] = []
-        self._targets: dict[int, np.ndarray] = {}  # targets of a moving camera, by frame
+        self._targets: dict[int, np.ndarray] = {}  # target (m) of a moving camera by frame
         self._scalars: dict[str, list[float | None]] = {}
         self._tracks: dict[tuple[str, str, str], _Track] = {}
         self._data = bytearray()
@@ -65,13 +66,15 @@ class ViewerHTML(SceneViewer):
     def log_adjoint_record(self, record: AdjointRecord, length: float = 0.3) -> None:
         """Add a plot of a gradient over time, and arrows of its contacts to the next frames.
 
-        The plot shows the norm of the gradient, H (the adjoint times the rates), events and
-        suspects. Suspects are steps in which H changes. A click shows the step and its contacts.
-        Times of frames are those of the record (s).
+        The plot shows the norm of the gradient, H, events and suspects. H is the gradient by the
+        state times the rate of the state, which smooth steps keep. Suspects are steps in which H
+        changes. A click shows the step and its contacts. The times of frames must be the times of
+        the record (s).
 
         Args:
             record: the result of `tape.adjoint_record()`.
-            length: the length (m) of the longest impulse (blue) and of the longest adjoint (red).
+            length: the length (m) of the longest impulse arrow (blue) and of the longest adjoint
+                arrow (red).
 
         Raises:
             TypeError: `record` is no AdjointRecord.
@@ -118,7 +121,7 @@ class ViewerHTML(SceneViewer):
         for name, values in self.scene.scalars.items():
             if values:
                 known = self._scalars.setdefault(name, [])
-                # JSON knows no NaN: a gap.
+                # JSON has no NaN, so a value that is not finite is None: a gap in the curve.
                 last = float(f"{values[-1]:.7g}") if math.isfinite(values[-1]) else None
                 known += [None] * (frame - len(known)) + [last]
 
@@ -141,7 +144,10 @@ class ViewerHTML(SceneViewer):
         values: np.ndarray,
         coded: Callable[[np.ndarray], np.ndarray],
     ) -> None:
-        """Store an array of the scene. A changed array is always a new object."""
+        """Store coded(values) if the array is another object than in the last frame.
+
+        The scene replaces an array when it changes, so the same object has the same values.
+        """
         track = self._tracks.setdefault(key, _Track())
         if track.seen is not values:
             track.seen = values
@@ -167,7 +173,7 @@ class ViewerHTML(SceneViewer):
         }
         names |= {name: {"width": lines.width} for name, lines in self.scene.lines.items()}
         camera, target, along = self.camera, self.camera.target, list[list[float]]()
-        if self._targets:  # where the camera goes along; before, it stays where that begins
+        if self._targets:  # the camera follows a body; before that, it keeps the first target
             start = min(self._targets)
             target, at = self._targets[start], self._targets[start]
             for frame in range(len(self._times)):
@@ -214,10 +220,11 @@ class ViewerHTML(SceneViewer):
         return f"{head}{text}{middle}{blob}{tail}".replace("<!--ADJOINT-->", shown)
 
     def _packed_data(self) -> tuple[bytes, list[list[int]], list[Any]]:
-        """Return the stored arrays, packed.
+        """Return the stored arrays in packed form, as three values.
 
-        The result has three values: the data; the unpacked parts (index and number of words); the
-        packed parts (method, components, their quanta, numbers in a frame, and indices of frames).
+        The values are the bytes; the unpacked parts (first word, number of words); and the packed
+        parts (predictor, number of components, their quanta, values per frame, offsets of frames).
+        A word has 4 bytes.
         """
         height = 2.0 * self.camera.distance * math.tan(math.radians(FIELD_OF_VIEW / 2))
         step = quantum(height / STEPS_OF_PICTURE)
@@ -267,7 +274,10 @@ class ViewerHTML(SceneViewer):
 
 
 class _Track:
-    """The values of one array over the frames, as offsets into the data, in words."""
+    """The frames in which one array changes, with the offset and size of its values.
+
+    Offsets into the data and sizes are in 4-byte words.
+    """
 
     def __init__(self) -> None:
         self.seen: Any = None
@@ -277,7 +287,10 @@ class _Track:
 
 
 def _equal_sizes(track: _Track, free: np.ndarray) -> Iterator[tuple[int, list[int]]]:
-    """Yield runs of frames with the same size, each frame once: the size and the offsets."""
+    """Yield (size, offsets) for each run of frames whose values have the same size, in words.
+
+    Each offset comes once.
+    """
     seen: set[int] = set()
     size = 0
     places: list[int] = []
@@ -295,11 +308,11 @@ def _equal_sizes(track: _Track, free: np.ndarray) -> Iterator[tuple[int, list[in
 
 
 def _png_words(pixels: np.ndarray) -> np.ndarray:
-    """Return an image as PNG, padded to whole words."""
+    """Return an image as the bytes of a PNG file, padded to whole 4-byte words."""
     data = png_bytes(pixels)
     return np.frombuffer(data + bytes(-len(data) % 4), np.float32)
 
 
 def _short(sizes: list[int]) -> list[int] | int:
-    """Return a single number if all sizes are equal."""
+    """Return a single number if all sizes are equal, else the list of sizes."""
     return sizes[0] if len(set(sizes)) == 1 else sizes

@@ -64,10 +64,10 @@ PARTICLE_COLOR, SURFACE_COLOR = (0.86, 0.33, 0.18), (0.27, 0.53, 0.78)
 SPRING_COLOR, CONTACT_COLOR = (0.45, 0.48, 0.52), (0.80, 0.10, 0.30)
 JOINT_COLOR, JOINT_SIZE, JOINT_WIDTH = (0.95, 0.75, 0.10), 0.12, 0.012  # m
 INERTIA_COLOR, INERTIA_WIDTH = (0.55, 0.15, 0.60), 0.003  # m
-INFINITE = 400.0  # m: how far an infinite plane is drawn
-CONTACT_POINT, CONTACT_WIDTH = 0.012, 0.006  # m: the radius of its point, and its arrow
-NORMAL_LENGTH = 0.1  # m: of a contact without a force
-FORCE_SCALE = 1.0e-3  # m/N
+INFINITE = 400.0  # m: drawn size of an infinite plane
+CONTACT_POINT, CONTACT_WIDTH = 0.012, 0.006  # m: radius of a contact's point, width of its arrow
+NORMAL_LENGTH = 0.1  # m: length of the normal of a contact without a force
+FORCE_SCALE = 1.0e-3  # m/N: length of a force arrow
 
 _FLOATS = ("particle_radius", "particle_inv_mass", "joint_axis")
 _SHAPES = {
@@ -88,7 +88,7 @@ def model_arrays(model: Model) -> dict[str, np.ndarray]:
 
 
 def shape_name(geo_type: int) -> str:
-    """Return the name of the mesh for a shape type. NotImplementedError: the type has none."""
+    """Return the mesh name of a shape type. NotImplementedError: the type is not drawn."""
     if geo_type not in _SHAPES:
         kind = GeoType(geo_type).name if geo_type in set(GeoType) else geo_type
         raise NotImplementedError(f"viewer: shapes of the type {kind} are not drawn")
@@ -135,8 +135,8 @@ class ModelScene:
         self.arrays = arrays
         self.offsets = np.zeros(3, np.float32)
         self.show_joints = self.show_inertia = False
-        self._bodies: list[tuple[Instances, np.ndarray]] = []  # and the body of each first row
-        self._rows: list[tuple[Instances, np.ndarray, np.ndarray]] = []  # its shapes, and colors
+        self._bodies: list[tuple[Instances, np.ndarray]] = []  # bodies of the first rows
+        self._rows: list[tuple[Instances, np.ndarray, np.ndarray]] = []  # shape, color of a row
         self._add_shapes()
         self._add_particles()
 
@@ -181,18 +181,18 @@ class ModelScene:
             item.local.set(np.ascontiguousarray(self.arrays["shape_transform"][rows]))
             item.scales.set(shape_scales(int(geo_type), self.arrays["shape_scale"][rows]))
             colors = _shape_colors(bodies[rows], geo_type == GeoType.PLANE)
-            if "shape_color" in self.arrays:  # not in older recordings
+            if "shape_color" in self.arrays:  # missing in older recordings
                 given = self.arrays["shape_color"][rows]
                 colors[:, :3] = np.where(given < 0.0, colors[:, :3], given)
             item.colors.set(colors)
             self.scene.instances[name] = item
             moving = bodies[rows]
             self._rows.append((item, rows, item.colors.values))
-            # The type of indices that numpy.take uses without a copy.
+            # numpy.take uses indices of the type intp without a copy.
             self._bodies.append((item, moving[moving >= 0].astype(np.intp)))
 
     def color_shapes(self, shapes: np.ndarray, colors: np.ndarray) -> None:
-        """Set the colors {n, 4} of shapes {n}; other shapes get their own colors."""
+        """Set the colors {n, 4} of shapes {n}; all other shapes get their default colors."""
         count = len(self.get("shape_type", 0))
         if len(shapes) and not 0 <= shapes.min() <= shapes.max() < count:
             raise ValueError(f"set_shape_colors, shapes: expected numbers of {count} shapes")
@@ -208,9 +208,9 @@ class ModelScene:
         return None if found is None else int(self._rows[found[0]][1][found[1]])
 
     def owner(self, name: str, row: int, point: np.ndarray) -> tuple[str, int] | None:
-        """Return the body or particle behind a row of instances; None: neither.
+        """Return the body or particle that a row of instances shows; None: neither.
 
-        For a surface, the result is its particle nearest to a point.
+        A surface gives its particle nearest to `point` (m).
         """
         item = self.scene.instances.get(name)
         for instances, bodies in self._bodies:
@@ -276,7 +276,7 @@ class ModelScene:
         if not len(joint):
             return
         parent, child = self.arrays["joint_parent"][joint], self.arrays["joint_child"][joint]
-        poses = np.concatenate([body_q, IDENTITY[None]])  # -1 is the world
+        poses = np.concatenate([body_q, IDENTITY[None]])  # index -1: the world
         frame = compose(poses[parent], self.arrays["joint_X_p"][joint])
         at = compose(poses[child], self.arrays["joint_X_c"][joint])[:, :3]
         half = (0.5 * JOINT_SIZE) * rotate(frame[:, 3:], axes)
@@ -326,7 +326,7 @@ class ModelScene:
 
 
 def energy(arrays: Mapping[str, np.ndarray], state: Mapping[str, np.ndarray]) -> float:
-    """Return kinetic plus gravitational energy of bodies and particles (J), without springs."""
+    """Return kinetic plus gravitational energy (J) of bodies and particles, no elastic energy."""
     total = 0.0
     if "particle_qd" in state:
         mass, q, v = arrays["particle_mass"], state["particle_q"], state["particle_qd"]
@@ -367,7 +367,7 @@ def contact_segments(
     body_q: np.ndarray,
     particle_q: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return points {n, 3} of contacts, and arrow ends: the force, or else the normal."""
+    """Return contact points {n, 3} (m) and ends {n, 3} of arrows: the force, or else the normal."""
     points, arrows = [np.zeros((0, 3), np.float32)], [np.zeros((0, 3), np.float32)]
     count = min(contacts.active_rigid_contact_count, contacts.rigid_contact_max)
     if count:

@@ -7,11 +7,14 @@ from typing import Any
 
 
 class MissingPackageError(ImportError, RuntimeError):
-    """Raised if a viewer cannot start; the message says what to install."""
+    """Raised if a viewer cannot start. The message names the package or library to install."""
 
 
 def needs(module: str, extra: str, who: str) -> Any:
-    """Import a module. ImportError: the module is missing; the message names the extra."""
+    """Import and return a module.
+
+    ImportError: the module is missing. The message names `who` needs it and the extra to install.
+    """
     try:
         return importlib.import_module(module)
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""Text and a curve over the image, drawn with NumPy, without a window system or a font library."""
+"""Text and curves over the image, drawn with NumPy, without a window system or font library."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ._scene import Scene, f32
 INK, CURVE = (0.13, 0.15, 0.19), (0.16, 0.44, 0.72)
 PAPER = (1.0, 1.0, 1.0, 0.72)
 MARGIN = 8  # pixels
-BOX = 10  # pixels: from the corner of the image to the box
+BOX = 10  # pixels: from the corner of the image to the text box
 CURVE_SIZE = (72, 216)  # pixels: height, width
 
 
@@ -31,7 +31,7 @@ FONT = _glyphs()
 
 
 def text_coverage(lines: Sequence[str]) -> np.ndarray:
-    """Return the coverage {h, w} of pixels by a text; other characters become question marks."""
+    """Return the coverage {h, w} of pixels by ASCII text. Other characters become "?"."""
     _, height, width = FONT.shape
     columns = max(map(len, lines), default=0)
     out = np.zeros((len(lines) * height, columns * width), np.float32)
@@ -47,7 +47,7 @@ def text_coverage(lines: Sequence[str]) -> np.ndarray:
 def curve_coverage(values: ArrayLike, size: tuple[int, int] = CURVE_SIZE) -> np.ndarray:
     """Return the coverage {h, w} of a curve, on a logarithmic scale if all values are positive.
 
-    NaNs are gaps.
+    A NaN leaves a gap in the curve.
     """
     height, width = size
     y = np.asarray(values, np.float64)
@@ -71,9 +71,9 @@ def curve_picture(values: ArrayLike) -> np.ndarray:
 def overlay(
     scene: Scene, lines: Sequence[str], curve: str | None, top: Sequence[np.ndarray] = ()
 ) -> np.ndarray:
-    """Return a box {h, w, 4}, uint8: lines of text, the curve of a scalar, arrays and images.
+    """Return the text box {h, w, 4}, uint8: text, the curve of a scalar, arrays and images.
 
-    top: blocks {h, w, 4} above the text, with alpha last.
+    top: blocks {h, w, 4} (RGBA) that are placed above the text.
     """
     blocks = [*top, inked(text_coverage(lines), INK)]
     if curve is not None and len(scene.scalars.get(curve, ())) > 1:
@@ -100,12 +100,12 @@ def overlay(
 
 
 def paint(base: np.ndarray, block: np.ndarray) -> None:
-    """Paint a block over a part of an image; both are {h, w, 4} with alpha last."""
+    """Blend a block {h, w, 4} over a part `base` of an image; both are RGBA."""
     a = block[..., 3:]
     base[..., :3] = base[..., :3] * (1.0 - a) + block[..., :3] * a
     base[..., 3:] = base[..., 3:] * (1.0 - a) + a
 
 
 def inked(coverage: np.ndarray, color: Sequence[float]) -> np.ndarray:
-    """Return a color with the coverage as alpha, {h, w, 4}."""
+    """Return an image {h, w, 4} (RGBA) of one color with the coverage {h, w} as alpha."""
     return np.dstack([np.broadcast_to(f32(color), (*coverage.shape, 3)), coverage])

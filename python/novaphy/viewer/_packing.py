@@ -1,8 +1,9 @@
-"""The storage of motion in a page: positions on a grid, as differences that compress well.
+"""Compression of motion for ViewerHTML: values are rounded to a grid, and predicted.
 
-Float32 values hardly compress. Moving values are therefore stored as integer multiples of a
-quantum, which is far below a pixel. Each multiple is predicted from earlier frames or from the row
-before. The differences are small, and each of their four bytes is stored in a plane of its own.
+Float32 values hardly compress. Therefore moving values are stored as integer multiples of a
+quantum, which is far below a pixel. Each integer is predicted from earlier frames or from the row
+before, and only the difference is stored. The differences are small: first come the lowest bytes of
+all differences, then the second bytes, and so on.
 """
 
 from __future__ import annotations
@@ -11,21 +12,24 @@ import zlib
 
 import numpy as np
 
-SMALLEST = 256  # numbers; less is stored as it is
-LARGEST = 2.0**30  # quanta: beyond, differences might not fit 32 bits
-# How a row is foretold: by the row before in the same frame, by the frame before, by two.
+SMALLEST = 256  # values; a smaller array is stored unpacked
+LARGEST = 2.0**30  # quanta: differences of larger integers might not fit in 32 bits
+# How a value is predicted: by the row before, by the frame before, or by the two frames before.
 BY_ROW, BY_FRAME, BY_MOTION = 0, 1, 2
 
 
 def quantum(resolution: float) -> float:
-    """Return the largest power of two up to a resolution; its multiples are exact in float32."""
+    """Return the largest power of two that is not above a resolution. Multiples of it are exact."""
     return float(2.0 ** np.floor(np.log2(resolution)))
 
 
 def pack(frames: np.ndarray, quanta: np.ndarray) -> tuple[int, bytes] | None:
-    """Pack frames {n, rows, width} in the smallest of three ways, with a quantum per component.
+    """Pack frames {n, rows, width} by the predictor that compresses best.
 
-    Returns the way and 16 bytes for every four numbers; None if the values do not fit the grid.
+    quanta: {width}, the quantum of each component.
+
+    Returns the predictor (BY_ROW, BY_FRAME or BY_MOTION) and four bytes per value. None: an array
+    is small, a value is not finite, or a value is too large for the grid.
     """
     if not np.isfinite(frames).all() or frames.size < SMALLEST:
         return None
@@ -44,7 +48,7 @@ def pack(frames: np.ndarray, quanta: np.ndarray) -> tuple[int, bytes] | None:
 
 
 def _planes(differences: np.ndarray) -> bytes:
-    """Return differences with the sign in the lowest bit, with all lowest bytes first."""
+    """Return zigzag-coded differences (sign in the lowest bit), all lowest bytes first."""
     flat = np.ascontiguousarray(differences, np.int32).ravel()
     zigzag = ((flat << 1) ^ (flat >> 31)).astype("<u4")
     return np.ascontiguousarray(zigzag.view(np.uint8).reshape(-1, 4).T).tobytes()

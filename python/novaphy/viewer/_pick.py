@@ -1,4 +1,4 @@
-"""Picking: finds the first shape that a ray hits, by boxes and then by triangles."""
+"""Picking: finds the first shape that a ray hits, by tests of boxes and then of triangles."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ def first_hit(
     """Return the item and the row of the first instance that a ray hits; None: no hit.
 
     Args:
-        scene: has the meshes.
-        items: instances, and the number of rows to test in each.
+        scene: the scene with the meshes of the instances.
+        items: pairs (instances, count); the first `count` rows of the instances are tested.
         origin: start of the ray {3} (m).
         ray: direction {3}.
     """

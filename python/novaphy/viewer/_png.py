@@ -12,7 +12,7 @@ import numpy as np
 def png_bytes(pixels: np.ndarray) -> bytes:
     """Return an image {h, w, 3}, uint8, as PNG bytes."""
     height, width, _ = pixels.shape
-    rows = np.zeros((height, 1 + 3 * width), np.uint8)  # each row begins with its filter, none
+    rows = np.zeros((height, 1 + 3 * width), np.uint8)  # byte 0 of each row: PNG filter 0 (none)
     rows[:, 1:] = pixels.reshape(height, -1)
     header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
     chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(rows.tobytes(), 6)), (b"IEND", b""))

@@ -6,8 +6,8 @@ import numpy as np
 
 from ._scene import Scene
 
-SEGMENTS, RINGS = 24, 12  # for a sphere and a capsule
-SIDES = 48  # of a cylinder and a cone
+SEGMENTS, RINGS = 24, 12  # subdivisions of a sphere and a capsule
+SIDES = 48  # number of sides of a cylinder and a cone
 AXIS = np.array([0.0, 0.0, 1.0])
 
 

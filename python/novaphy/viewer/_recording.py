@@ -1,9 +1,9 @@
-"""The two file formats of recordings, separate from the viewer that uses them.
+"""The two file formats of recordings of ViewerFile.
 
-Version 2 (.nprec) is a line with its name, followed by chunks that are only appended. A chunk is
-the length and the CRC-32 of the content (uint32 each, little-endian), then the content, an .npz
-archive. The first chunk has the header and the model's arrays (`model/<field>`). Each other chunk
-has a number of frames:
+Version 2 (.nprec) is a line with the name of the format, followed by chunks. New chunks are only
+appended. A chunk is the length and the CRC-32 of its content (uint32 each, little-endian), then the
+content, an .npz archive. The first chunk has the header and the model's arrays (`model/<field>`).
+Each later chunk has several frames:
 
 * `time`: {frames}, s.
 * `state/<field>`: {frames, ...}.
@@ -101,7 +101,7 @@ def write_archive(
         "model": list(model),
         "up_axis": up_axis,
     }
-    # Not compressed: with auto_save this runs in between frames.
+    # The archive is not compressed, because auto_save writes it between frames.
     arrays |= {"header": _text(header)} | {f"model/{k}": v for k, v in model.items()}
     np.savez(file, **arrays)
 

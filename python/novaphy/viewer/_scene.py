@@ -13,7 +13,7 @@ import numpy as np
 
 IDENTITY = np.array([0, 0, 0, 0, 0, 0, 1], np.float32)
 GRAY = (0.62, 0.64, 0.67)
-CHECKER = 0.12  # the fourth number of a color: how much darker every other field of a checker is
+CHECKER = 0.12  # contrast of a checker: how much darker every other square is (0 to 1)
 
 
 def f32(values: Any) -> np.ndarray:
@@ -22,8 +22,9 @@ def f32(values: Any) -> np.ndarray:
 
 
 def as_array(value: Any, width: int, name: str, dtype: Any = np.float32) -> np.ndarray:
-    """Return rows {n, width} of a DeviceArray, Tensor, array or sequence; ValueError: another
-    shape.
+    """Return a DeviceArray, Tensor, array or sequence as rows {n, width}.
+
+    ValueError: the shape does not fit; the message has `name`.
     """
     numbers = value.numpy() if hasattr(value, "numpy") else np.asarray(value)
     rows = np.ascontiguousarray(numbers, dtype)
@@ -37,7 +38,7 @@ def as_array(value: Any, width: int, name: str, dtype: Any = np.float32) -> np.n
 
 
 def per_row(value: Any, rows: int, width: int, default: Any, name: str) -> np.ndarray:
-    """Return one value for all rows, or one per row, as {rows, width}."""
+    """Return a value {width} for all rows, or values {rows, width}, as {rows, width}."""
     if value is None:
         value = default
     numbers = np.atleast_1d(value.numpy() if hasattr(value, "numpy") else np.asarray(value))
@@ -59,7 +60,7 @@ def rotate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Compose transforms {n, 7}: first b, then a."""
+    """Return the transforms a b {n, 7}: a point is transformed by b first, then by a."""
     ax, ay, az, aw = a[:, 3], a[:, 4], a[:, 5], a[:, 6]
     bx, by, bz, bw = b[:, 3], b[:, 4], b[:, 5], b[:, 6]
     out = np.empty((len(a), 7), np.float32)
@@ -82,7 +83,7 @@ def turns_of_z(axis: np.ndarray) -> np.ndarray:
 
 
 def smooth_normals(points: np.ndarray, indices: np.ndarray) -> np.ndarray:
-    """Return vertex normals {n, 3}: the normals of their triangles, weighted by area."""
+    """Return vertex normals {n, 3}: the mean normal of a vertex's triangles, weighted by area."""
     a, b, c = (points[indices[:, k]] for k in range(3))
     faces = np.cross(b - a, c - a)
     corners = indices.ravel()
@@ -98,7 +99,7 @@ _REVISIONS = itertools.count(1)
 
 
 class Part:
-    """An array of an object with a revision, which is unique to the array and its content."""
+    """An array with a revision number, which changes with every change of the content."""
 
     def __init__(self, values: np.ndarray) -> None:
         """Set the first values."""
@@ -118,9 +119,10 @@ class Part:
 
 
 class Mesh:
-    """A triangle mesh. A vertex moves along local z by its shift times the instance's fourth scale.
+    """A triangle mesh, whose vertices an instance can shift along local z.
 
-    One capsule mesh thus serves all proportions: its halves have the shifts +1 and -1.
+    A vertex moves by its `shift` times the fourth scale of the instance. The halves of the capsule
+    mesh have the shifts +1 and -1, so one mesh draws capsules of all proportions.
     """
 
     fields = ("points", "normals", "shift", "indices")
@@ -133,7 +135,7 @@ class Mesh:
         self.normals = Part(np.zeros((0, 3), np.float32))
 
     def update(self, points: np.ndarray, indices: np.ndarray, normals: np.ndarray | None) -> None:
-        """Set new points and triangles; missing normals are computed."""
+        """Set new points {n, 3} and triangles {m, 3}. None: compute smooth normals."""
         if len(points) != len(self.shift.values):
             self.shift.set(np.zeros((len(points), 1), np.float32))
         before = self.points.revision, self.indices.revision
@@ -215,7 +217,7 @@ class Scene:
     def put_mesh(
         self, name: str, points: np.ndarray, indices: np.ndarray, normals: np.ndarray | None = None
     ) -> Mesh:
-        """Add or replace a mesh. ValueError: an index names no point."""
+        """Add or replace a mesh. ValueError: an index is out of range."""
         if indices.size and (indices.min() < 0 or indices.max() >= len(points)):
             raise ValueError(f"log_mesh, indices: expected numbers of {len(points)} points")
         mesh = self.meshes.get(name)
@@ -267,8 +269,9 @@ class Scene:
             kind.pop(name, None)
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return the lower and upper corner of all visible objects except planes; None: nothing is
-        visible.
+        """Return the lower and upper corner {3} (m) of all visible objects except planes.
+
+        None: no object is visible.
         """
         lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
         for item in self.instances.values():

@@ -1,4 +1,4 @@
-"""The base class of viewers with an image: their calls become objects of a scene."""
+"""The base class of viewers that draw: log_* calls become objects of a scene."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from ._model_scene import (
 from ._primitives import add_primitive
 from ._scene import GRAY, IDENTITY, Scene, as_array, f32, per_row, turns_of_z
 
-HISTORY = 2000  # values of a scalar that are kept
+HISTORY = 2000  # number of last values of a scalar that its curve shows
 SHOWN_SCALARS = 6
-ARROW_HEAD = 4.0  # widths of the line
+ARROW_HEAD = 4.0  # size of an arrow's head in line widths
 
 
 class SceneViewer(Viewer):
@@ -121,9 +121,9 @@ class SceneViewer(Viewer):
             self._model_scene.offsets = self._offsets
 
     def set_shape_colors(self, shapes: ArrayLike, colors: ArrayLike) -> None:
-        """Set the colors {n, 3} of shapes {n} of the model; other shapes get their own colors.
+        """Set the colors {n, 3} of shapes {n} (indices); all other shapes get their default colors.
 
-        Colors {n, 4} have the contrast of a checker pattern as fourth number (0 to 1, 0: no
+        In colors {n, 4} the fourth number is the contrast of a checker pattern (0 to 1; 0: no
         pattern). ValueError: a shape does not exist, or no model is set.
         """
         if self._model_scene is None:
@@ -143,7 +143,7 @@ class SceneViewer(Viewer):
         names = ["body_q", "particle_q"]
         if self.show_energy:
             names += ["body_qd", "particle_qd"]
-        # In the memory of the state where NumPy can read that, else in a copy.
+        # NumPy reads arrays of the CPU in place. Arrays of devices are copied.
         fields = {name: getattr(state, name) for name in names}
         self.log_state_arrays({k: a.numpy(copy=not a.device.is_cpu) for k, a in fields.items()})
 
@@ -169,7 +169,7 @@ class SceneViewer(Viewer):
         return lines + [f"{name} {values[-1]:.6g}" for name, values in scalars if values]
 
     def log_contacts(self, contacts: Contacts, state: SimState) -> None:
-        """Show a point for each contact of a state, with its force, or else its normal."""
+        """Show each contact of a state as a point and an arrow: the force, or else the normal."""
         if self._model_scene is None:
             raise ValueError("log_contacts: expected a model before, got none: call set_model")
         if not self.show_contacts:
@@ -214,9 +214,9 @@ class SceneViewer(Viewer):
         backface_culling: bool = True,
         color: Sequence[float] | None = None,
     ) -> None:
-        """Show triangles: points {n, 3} (m), indices {m, 3}.
+        """Show a triangle mesh with points {n, 3} (m) and indices {m, 3}.
 
-        Without normals the surface is smooth. NotImplementedError: a texture is given.
+        Without normals, smooth ones are computed. NotImplementedError: a texture is given.
         """
         if texture is not None:
             raise NotImplementedError("log_mesh: textures are not drawn")
@@ -365,7 +365,7 @@ class SceneViewer(Viewer):
         self.scene.curves[name] = values
 
     def log_scalar(self, name: str, value: float) -> None:
-        """Show a number, and add it to its curve."""
+        """Show a number as text, and add it to the curve of this name."""
         values = self.scene.scalars.setdefault(name, [])
         values.append(float(value))
         del values[:-HISTORY]
@@ -391,7 +391,7 @@ class SceneViewer(Viewer):
             numbers.clear()
 
     def _place_camera(self) -> None:
-        """Make the whole scene visible, unless the camera was placed."""
+        """Place the camera so that the whole scene is visible, unless it was placed before."""
         if self.camera.is_set:
             return
         bounds = self.scene.bounds()

@@ -1,4 +1,4 @@
-"""The shaders, common to OpenGL 3.3 and WebGL 2; each renderer prepends its header."""
+"""GLSL shaders for both OpenGL 3.3 and WebGL 2. Each renderer prepends its #version header."""
 
 GL_HEADER = "#version 330\n"
 WEB_HEADER = (
@@ -6,7 +6,7 @@ WEB_HEADER = (
     "precision highp sampler2DShadow;\n"
 )
 
-# Vertices of instances. `scale.w` is the way of vertices with a shift along local z.
+# Vertex shader of instances. A vertex moves along local z by its `shift` times `scale.w`.
 MESH_VERTEX = """
 in vec3 position; in vec3 normal; in float shift;
 in vec3 body_p; in vec4 body_q; in vec3 local_p; in vec4 local_q; in vec4 scale; in vec4 color;
@@ -26,7 +26,7 @@ void main() {
 }
 """
 
-# A light with a shadow, light of the sky from above, a filtered checker, and haze far away.
+# Fragment shader: a light with a shadow map, sky light, an antialiased checker, and distance haze.
 MESH_FRAGMENT = """
 in vec3 world; in vec3 world_normal; in vec3 light_position; in vec2 pattern; in vec4 tint;
 uniform vec3 eye; uniform vec3 target; uniform vec3 light; uniform vec3 up; uniform vec3 haze;
@@ -68,7 +68,7 @@ out vec4 pixel;
 void main() { pixel = vec4(1.0); }
 """
 
-# A segment is a quad that faces the camera, at least a pixel and a half wide.
+# Vertex shader of segments: each is a quad that faces the camera, at least 1.5 pixels wide.
 LINE_VERTEX = """
 in vec2 corner; in vec3 start; in vec3 end; in vec3 color;
 uniform mat4 view_projection; uniform vec3 eye; uniform float width; uniform float pixel_angle;

@@ -1,4 +1,4 @@
-"""Stage: shows a simulation as the flags --viewer, --headless and --record request."""
+"""Stage: shows a simulation in the viewers that --viewer, --headless and --record request."""
 
 from __future__ import annotations
 
@@ -24,23 +24,24 @@ from ._video import CODECS
 if TYPE_CHECKING:
     from ._file import ViewerFile
 
-EARLIER = 32  # paths of earlier iterations that stay
-PATH_POINTS = 241  # of a path that are drawn
+EARLIER = 32  # number of earlier iterations whose paths stay visible
+PATH_POINTS = 241  # largest number of points that are drawn of a path
 OLDEST, RECENT = f32([0.80, 0.84, 0.89]), f32([0.33, 0.53, 0.78])
 PRESENT, TARGET = (0.86, 0.15, 0.10), (0.80, 0.08, 0.15)
 RECORDED_SIZE = (960, 540)
-KEPT = 1800  # frames of a simulation that a window replays at the end
+KEPT = 1800  # number of last frames of a simulation that a window replays at the end
 
-# Gives the frames of a rollout: times (s) and states.
+# A function that returns the frames of a rollout as pairs (time (s), state).
 Frames = Callable[[], Iterable[tuple[float, SimState]]]
 
 
 class Stage:
     """Shows a simulation, or the iterations of a training, in the viewers that the flags select.
 
-    A window shows frames at the frame rate; space pauses, N steps, and a reset restarts the
-    simulation. Without a window nothing waits. At the end the window replays the last rollout or
-    simulation until it is closed. Closing the window ends the display, not the program.
+    In a window, frames are shown at the frame rate: space pauses, N steps, and R restarts the
+    simulation. Without a window, frames are computed as fast as possible. At the end the window
+    replays the last rollout or simulation until the user closes it. Closing the window ends the
+    display, not the program.
 
         with Stage(args, model) as stage:
             for frames in stage.runs(args.headless):            # again at every reset
@@ -68,16 +69,16 @@ class Stage:
             model: the simulated model; None for a recording.
             fps: frames per second of simulated time.
             refresh: show every N-th training iteration, unless --refresh overrides it.
-            look: position of the camera and its target (m).
-            path_width: width of paths (m).
-            viewers: use these viewers instead of those of the flags.
+            look: (position of the camera, target of the camera) (m).
+            path_width: width of drawn paths (m).
+            viewers: use these viewers and ignore the flags.
         """
         self.fps = fps
         self.refresh = args.refresh or refresh
         self.path_width = path_width
-        self._screen: Any = None  # a window, or a page that is served
-        self._waits = False  # whether the program waits for the user of the screen
-        self._picture: tuple[Any, str] | None = None  # its viewer, and its path
+        self._screen: Any = None  # the viewer with a window, or with a served page
+        self._waits = False  # whether the program keeps the frame rate for a user at the screen
+        self._picture: tuple[Any, str] | None = None  # viewer and path of a requested .png
         self._earlier: dict[str, deque[np.ndarray]] = {}
         self._paths: dict[str, np.ndarray] = {}
         self._again: Callable[[], None] | None = None  # the function that replay() repeats
@@ -85,7 +86,7 @@ class Stage:
         self._shown: deque[tuple[float, dict[str, np.ndarray]]] = deque(maxlen=KEPT)
         self._due = 0.0
         self.viewers = list(viewers) if viewers is not None else self._make(args)
-        self._audience = self.viewers  # the viewers of the shown scene
+        self._audience = self.viewers  # the viewers that get the frames
         for viewer in self.viewers:
             if model is not None:
                 viewer.set_model(model)
@@ -107,7 +108,7 @@ class Stage:
                 made.append(self._screen)
             elif args.live:
                 self._screen = painter = create_viewer("gl")
-                painter.waits = True  # every frame of a rollout is seen
+                painter.waits = True  # show every frame of a rollout, without skipping
                 made.append(painter)
         except MissingPackageError as error:
             print(f"{error}; going on without a window", file=sys.stderr)
@@ -127,7 +128,7 @@ class Stage:
         return made
 
     def mark(self, point: ArrayLike, radius: float = 0.05, name: str = "target") -> None:
-        """Show a target point (m)."""
+        """Show a target point {3} (m) as a sphere of radius `radius` (m)."""
         for viewer in self.viewers:
             viewer.log_points(name, [point], radius, TARGET)
 
@@ -142,10 +143,10 @@ class Stage:
             viewer.set_shape_colors(shapes, colors)
 
     def runs(self, count: int) -> Iterator[Iterator[int]]:
-        """Yield simulations, each from its start: one, and another after every reset.
+        """Yield a simulation, and a new one after every reset by the user.
 
-        Each simulation yields the indices of its frames 1, 2, ..., `count`, each when it should
-        advance.
+        A simulation is an iterator over its frames 1, 2, ..., `count`. The iterator yields a frame
+        when the simulation should advance, so it waits while the user pauses.
         """
         self._begin_again = True
         while self._begin_again:
@@ -162,9 +163,9 @@ class Stage:
             yield frame
 
     def turns(self) -> Iterator[int]:
-        """Yield the passes 0, 1, ... of a program with sliders, until the window is closed.
+        """Yield the numbers 0, 1, ... of passes of a program's loop, until the window is closed.
 
-        A reset restarts at 0. Without a window a single pass runs.
+        A reset restarts at 0. Without a window only pass 0 runs.
         """
         turn = 0
         yield turn
@@ -233,7 +234,7 @@ class Stage:
             time.sleep(max(0.0, self._due - time.perf_counter()))
 
     def apply_forces(self, state: SimState) -> None:
-        """Add the pull of the pointer to a state's forces, which must be cleared before."""
+        """Add the force of a drag with the pointer to a state's forces; clear the forces before."""
         for viewer in self._open():
             viewer.apply_forces(state)
 
@@ -245,13 +246,13 @@ class Stage:
         paths: Mapping[str, np.ndarray] | Callable[[], Mapping[str, np.ndarray]],
         last: bool = False,
     ) -> None:
-        """Show an iteration of a training, if it is due.
+        """Show every `refresh`-th iteration of a training: play its rollout and draw its paths.
 
-        Its rollout is played and its paths are drawn. Paths of earlier iterations stay and fade.
+        The paths of earlier iterations stay visible and fade.
 
         Args:
             number: index of the iteration.
-            loss: loss of its rollout.
+            loss: loss of the iteration's rollout.
             frames: returns the times and states of the rollout.
             paths: points {n, 3} (m) by name, or a function that returns them.
             last: show the iteration in any case.
@@ -293,7 +294,7 @@ class Stage:
     def replay(self) -> None:
         """In a window, replay the last rollout, recording or simulation until the window is closed.
 
-        A recording to a file ends before the replay.
+        Recordings to files are finished before, so they do not contain the replay.
         """
         if not self._waits:
             return

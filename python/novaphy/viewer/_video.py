@@ -24,7 +24,7 @@ CODECS = {
 
 
 class Video:
-    """A video that is being written."""
+    """A video file that is being written, frame by frame."""
 
     def __init__(self, path: str | os.PathLike[str], width: int, height: int, fps: float) -> None:
         """Start ffmpeg. ValueError: the extension is unknown. RuntimeError: ffmpeg is missing."""
@@ -39,7 +39,7 @@ class Video:
             )
         self._messages = tempfile.TemporaryFile()  # noqa: SIM115, closed with the video
         codec = CODECS[ending]
-        if ending in (".mp4", ".webm"):  # these need even numbers of pixels
+        if ending in (".mp4", ".webm"):  # these formats need an even width and height
             codec = ["-vf", "crop=trunc(iw/2)*2:trunc(ih/2)*2", *codec]
         self._process = subprocess.Popen(
             [
@@ -47,7 +47,7 @@ class Video:
                 "-s", f"{width}x{height}", "-r", str(fps), "-i", "-", *codec, self.path,
             ],
             stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._messages,
-            start_new_session=True,  # an interrupt ends the run, and the video is finished
+            start_new_session=True,  # Ctrl-C does not reach ffmpeg, so the video gets finished
         )  # fmt: skip
 
     def add(self, frame: np.ndarray) -> None:

@@ -1,4 +1,4 @@
-"""ViewerViser: shows the scene in web browsers, with the package viser."""
+"""ViewerViser: shows the scene in web browsers, through the package viser."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ._overlay import curve_picture
 from ._scene_viewer import SceneViewer
 from ._viser_objects import PageObjects
 
-SEND_RATE = 30.0  # frames per second that are sent at most
+SEND_RATE = 30.0  # largest number of frames per second that are sent
 PORTS_TRIED = 10
 LOCAL = ("127.0.0.1", "localhost", "::1")
 
@@ -29,13 +29,13 @@ LOCAL = ("127.0.0.1", "localhost", "::1")
 class ViewerViser(SceneViewer):
     """Serves a web page for any number of browsers.
 
-    The page can pause, step and reset, and has a slider over the last frames and the sliders of
-    add_slider. Drag with control pulls a body or particle.
+    The page has buttons to pause, step and reset, a slider over the last frames, and the sliders of
+    add_slider. A drag with the control key pulls a body or particle.
 
     Attributes:
         port: the port in use.
         url: the address of the page.
-        reset_requested: set by the page's button, until the caller sets it to False.
+        reset_requested: True after a click on reset, until the caller sets it to False.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class ViewerViser(SceneViewer):
 
     def _make_panel(self) -> None:
         gui = self._server.gui
-        gui.configure_theme(control_width="small")  # the panel covers the scene
+        gui.configure_theme(control_width="small")  # so that the panel covers less of the scene
         self._text = gui.add_markdown("")
         self._pause_box = gui.add_checkbox("pause", False)
         step, reset = gui.add_button("step"), gui.add_button("reset")
@@ -181,7 +181,7 @@ class ViewerViser(SceneViewer):
         self._page.send(self.scene)
 
     def _send_pictures(self) -> None:
-        """Show images, and curves as images, in the panel."""
+        """Show images and curves in the panel. A curve is sent as an image."""
         pictures = dict(self.scene.images)
         curves: dict[str, Any] = dict(self.scene.curves)
         if len(self.scene.scalars.get("loss", ())) > 1:
@@ -211,12 +211,12 @@ class ViewerViser(SceneViewer):
         initial.up, initial.fov = tuple(camera.up), float(np.radians(FIELD_OF_VIEW))
         for client in self._server.get_clients().values():
             eye = seen[0]
-            if before is not None and self.follows:  # as far and from the side that the user chose
+            if before is not None and self.follows:  # keep the user's distance and direction
                 eye = seen[1] + (client.camera.position - client.camera.look_at)
             client.camera.position, client.camera.look_at = tuple(eye), tuple(seen[1])
 
     def _pull(self, name: str, rows: np.ndarray, event: Any) -> None:
-        """Drag the body or particle behind the rows of an object, as the pointer does."""
+        """Drag the body or particle that a row of an object shows, as the pointer moves."""
         with self._lock:
             start = np.array(event.start_position)
             if event.phase == "start" and self._model_scene is not None:
@@ -230,7 +230,7 @@ class ViewerViser(SceneViewer):
                 self._drag.pull(np.array(event.end_position))
 
     def apply_forces(self, state: SimState) -> None:
-        """Add the pull of a pointer to a state's particle_f or body_f."""
+        """Add the force of a drag with the pointer to a state's particle_f or body_f."""
         with self._lock:
             self._drag.apply(state)
 

@@ -12,15 +12,15 @@ from ._model_scene import INFINITE
 from ._scene import Instances, Lines, Mesh, Scene, compose, f32
 
 DARKER = 1.7
-STRONG = 0.5  # a checker of this contrast has fields, not lines
-FIELDS, PIXELS = 32, 32  # how far it goes (m), and pixels of 1 m
+STRONG = 0.5  # a plane of this contrast or more is drawn as checker squares, else as grid lines
+FIELDS, PIXELS = 32, 32  # half extent of the checker (m), and pixels per m
 
 
 class PageObjects:
-    """Updates the page from a scene; only changes are sent.
+    """Updates the page from a scene, and sends only what changed.
 
     Attributes:
-        handles: handles of every object by name, with the revisions that were sent.
+        handles: by name, the viser handles of every object and the revisions that were sent.
     """
 
     def __init__(self, server: Any, pull: Callable[[str, np.ndarray, Any], None]) -> None:
@@ -28,9 +28,8 @@ class PageObjects:
 
         Args:
             server: the viser server.
-            pull: a callback for dragging. The first argument is the name of an object of the model.
-                The second has the rows of the object that a mesh of the page shows. The third is
-                the event of the pointer.
+            pull: a callback for dragging. Its arguments are the name of an object of the model, the
+                rows of the object that the dragged mesh shows, and the event of the pointer.
         """
         self.server, self.pull = server, pull
         self.handles: dict[str, tuple[Any, Any]] = {}
@@ -88,7 +87,7 @@ class PageObjects:
             )  # fmt: skip
             group.parts.append((grid, None))
             return group
-        # The shift of a capsule is no scale, so capsules of one proportion share a mesh.
+        # viser cannot shift the halves of a capsule. Capsules of equal proportions share a mesh.
         shift, scales = mesh.shift.values, item.scales.values
         ratios = scales[:, 3] / scales[:, 0] if shift.any() else np.zeros(item.count)
         for number, ratio in enumerate(np.unique(ratios)):
@@ -138,11 +137,11 @@ class PageObjects:
 
 
 class _Object:
-    """An object on the page: handles, each with the instances that it shows."""
+    """An object on the page: viser handles, each with the rows of the instances that it shows."""
 
     def __init__(self, parts: Sequence[tuple[Any, np.ndarray | None]] = ()) -> None:
         self.parts = list(parts)
-        self.ratios: list[float] = []  # by mesh of the part
+        self.ratios: list[float] = []  # of each part: shift of the capsule halves
 
     def reshape(self, mesh: Mesh) -> None:
         """Update the points of a mesh."""
@@ -165,8 +164,9 @@ class _Object:
 
 
 def _node(name: str) -> str:
-    """Return the name of an object's node without hierarchy: viser removes a node with its
-    children.
+    """Return the name of an object's node, with "|" for "/".
+
+    Without "/" the nodes have no children, which viser would remove with their parent.
     """
     return "/" + name.removeprefix("/").replace("/", "|")
 

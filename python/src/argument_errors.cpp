@@ -1,9 +1,9 @@
-// Messages for arguments of a wrong type. pybind11 reports the C++ signature and the given
-// arguments. Here novaphy._arguments makes the message, which names the argument.
+// Error messages for arguments of a wrong type. pybind11's TypeError lists C++ signatures. This
+// file replaces its message by one of novaphy._arguments, which names the argument.
 //
-// pybind11 has one entry point for all its functions, in each function's PyMethodDef. An entry
-// point of our own in front of it costs an indirect jump per call. The bindings need no further
-// code.
+// All functions of pybind11 share one C entry point, which each function's PyMethodDef points to.
+// This file replaces the pointer by a wrapper that catches the TypeError. The wrapper costs an
+// indirect jump per call, and the bindings need no further code.
 #include <string>
 #include <unordered_map>
 
@@ -12,8 +12,8 @@
 namespace novaphy::python {
 namespace {
 
-// The label of each function, by the object that pybind11 attaches to the function:
-// "diff.Trajectory", "Model.soft_contact_ke".
+// The label of each function, such as "diff.Trajectory" or "Model.soft_contact_ke". The key is the
+// object that pybind11 stores as `self` of the function.
 std::unordered_map<PyObject*, std::string>& labels() {
   static auto* const names = new std::unordered_map<PyObject*, std::string>;  // outlives the module
   return *names;
@@ -24,8 +24,8 @@ struct Arguments {
   py::dict by_name;
 };
 
-// Replaces the present TypeError if it concerns the arguments. The function may not throw, because
-// Python calls it.
+// Replaces the current Python error if it is a TypeError about the arguments. The function must not
+// throw a C++ exception, because C code of Python calls it.
 template <class Given>
 void explain(PyObject* function, const Given& given) {
   py::error_already_set error;
@@ -49,7 +49,7 @@ bool wrong_arguments(const PyObject* result) {
   return result == nullptr && PyErr_ExceptionMatches(PyExc_TypeError) != 0;
 }
 
-// pybind11's entry point, in the call convention of its version.
+// pybind11's original entry point. Its calling convention depends on the version of pybind11.
 using Vector = PyObject* (*)(PyObject*, PyObject* const*, Py_ssize_t, PyObject*);
 Vector vector_entry = nullptr;
 PyCFunctionWithKeywords tuple_entry = nullptr;
@@ -108,7 +108,8 @@ void put_in_front(py::handle member, const std::string& label) {
   labels()[PyCFunction_GET_SELF(member.ptr())] = label;
 }
 
-// `prefix`: "" for the module, "nova." for a submodule, "nova.Tensor." for a class.
+// Wraps all functions of a module or class. `prefix` is the start of their labels: "" for the
+// module, "nova." for a submodule, "nova.Tensor." for a class.
 void walk(py::handle owner, const std::string& prefix) {
   for (const auto& [key, value] : py::dict(owner.attr("__dict__").attr("copy")())) {
     const std::string name = py::str(key);

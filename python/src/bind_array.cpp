@@ -20,8 +20,8 @@ DType scalar_dtype(Scalar scalar) {
   return dtypes[static_cast<size_t>(scalar)];
 }
 
-// Makes an array of a NumPy shape: (n,) + the element's shape, (n, width) for a table of scalars,
-// or (n,) for short.
+// Makes an array from the shape of its NumPy array: (n,) followed by the element's shape, or
+// (n, width) for a table of scalars. (n,) alone is accepted for elements of any shape.
 Array make_array(DType dtype, const std::vector<int64_t>& shape, Device device) {
   const DTypeInfo& info = dtype_info(dtype);
   require(!shape.empty(), ErrorKind::Value, "shape: expected at least one size");
@@ -132,9 +132,11 @@ std::string repr(const Array& array) {
 
 void bind_dtypes(py::module_& m) {
   py::class_<DTypeObject>(m, "dtype",
-                          "The type of an array's elements: novaphy.float32, novaphy.vec3, ...")
+                          "The type of an array's elements, such as novaphy.float32 or "
+                          "novaphy.vec3.")
       .def_property_readonly(
-          "name", [](const DTypeObject& d) { return dtype_info(d.dtype).name; }, "\"vec3\"")
+          "name", [](const DTypeObject& d) { return dtype_info(d.dtype).name; },
+          "The name, such as \"vec3\".")
       .def_property_readonly(
           "scalar",
           [](const DTypeObject& d) {
@@ -168,15 +170,16 @@ void bind_array(py::module_& m) {
   bind_dtypes(m);
   py::class_<Array> c(
       m, "DeviceArray",
-      "A shared handle to rows of one element type on a device. A field of a state returns a "
-      "handle to the state's memory. Reads of the host wait for the device.");
+      "An array of rows of one element type, in the memory of a device. Copies of the object share "
+      "the memory: a field of a state gives access to the state's own memory. Reads by the host "
+      "wait for the device.");
   c.def(py::init([](py::handle data, py::handle dtype, py::handle device) {
           return construct(data, dtype, device);
         }),
         "data"_a, "dtype"_a = py::none(), "device"_a = py::none(),
-        "Copies numbers, lists, NumPy arrays (float64 is rounded) or another DeviceArray. Without "
-        "a dtype the rows are float32, int32 or uint8, and a shape (n, width) makes a table. "
-        "ValueError: a wrong shape.")
+        "Makes an array from a copy of numbers, lists, a NumPy array or another DeviceArray. "
+        "float64 values are rounded to float32. Without a dtype the elements are float32, int32 or "
+        "uint8, and data of shape (n, width) makes a table. ValueError: the shape does not fit.")
       .def_static(
           "zeros",
           [](py::handle shape, py::handle dtype, py::handle device) {
@@ -232,7 +235,7 @@ void bind_array(py::module_& m) {
       .def_property_readonly(
           "is_contiguous", [](const Array&) { return true; }, "True: rows are tightly packed.")
       .def_property_readonly("version", &Array::version,
-                             "A number that grows with every write through the engine.")
+                             "A number that grows with every write to the array by the engine.")
       .def("__len__", &Array::rows)
       .def("__repr__", &repr)
       .def(
@@ -241,10 +244,7 @@ void bind_array(py::module_& m) {
             if (!copy && writable) a.require_writable("numpy");
             return view_to_numpy(view_of(a), copy, writable);
           },
-          "copy"_a = true, "writable"_a = false,
-          "Returns a NumPy array: a copy, or with copy=False the memory itself. The memory is "
-          "read-only unless writable=True. A writable array can change values unnoticed, so tapes "
-          "then compare contents. novaphy.Error: inside a capture.")
+          "copy"_a = true, "writable"_a = false, doc::kNumpy)
       .def("assign", &assign_array, "source"_a, doc::kAssign)
       .def("copy_from", &assign_array, "other"_a, "Copies values, as assign.")
       .def(
@@ -253,7 +253,7 @@ void bind_array(py::module_& m) {
             fill(self.cast<Array&>(), value);
             return self;
           },
-          "value"_a, "Sets every row to a number or an element. Returns the array.")
+          "value"_a, "Sets every row to a number or to one element. Returns the array.")
       .def(
           "zero_",
           [](const py::object& self) {

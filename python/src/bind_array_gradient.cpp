@@ -1,4 +1,4 @@
-// Gradients at the arrays themselves: state.particle_q.grad.
+// Gradients as properties of DeviceArray, such as state.particle_q.grad.
 #include "nova_types.h"
 
 namespace novaphy::python {
@@ -25,9 +25,9 @@ py::object array_grad(const Array& array) {
 void bind_array_gradient(py::class_<Array>& array) {
   array.def_property_readonly(
       "grad", &array_grad,
-      "The gradient of the values, a DeviceArray of the same shape. The gradient is zero before "
-      "the first backward pass, and None if the array requires no gradient. A Tensor over the same "
-      "memory shares the gradient.");
+      "The gradient of a loss by the values, a DeviceArray of the same shape. None: the array "
+      "requires no gradient. Before the first backward pass the gradient is zero. A Tensor over "
+      "the same memory has the same gradient.");
   array.def_property(
       "requires_grad",
       [](const Array& a) { return has_gradients(a) && Tensor::view(a).requires_grad(); },
@@ -37,9 +37,9 @@ void bind_array_gradient(py::class_<Array>& array) {
                 dtype_info(a.dtype()).name);
         if (has_gradients(a)) Tensor::view(a).set_requires_grad(on);
       },
-      "Whether the values are a leaf: an input for which backward computes a gradient. Any float32 "
-      "array can be a leaf. A state with requires_grad makes its positions and velocities leaves "
-      "when a step is recorded.");
+      "Whether the array is a leaf: an input for which backward computes a gradient. Any float32 "
+      "array can be a leaf. If a state has requires_grad, its positions and velocities become "
+      "leaves when a tape records a step.");
 }
 
 }  // namespace novaphy::python

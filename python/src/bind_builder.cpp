@@ -1,4 +1,4 @@
-// ModelBuilder.
+// Bindings of ModelBuilder: worlds, bodies, particles, finalize.
 #include "doc_builder.h"
 #include "novaphy/core/sim/model_builder.h"
 #include "pickle.h"
@@ -8,7 +8,8 @@ namespace {
 
 // ---------------------------------------------------------------- lists of the builder
 
-// builder.particle_q and so on: a list of fixed length over the builder's own values.
+// The type of builder.particle_q, builder.body_q, ...: a list of fixed length, which refers to the
+// values in the builder.
 template <class T>
 struct BuilderList {
   py::object owner;
@@ -186,18 +187,18 @@ void bind_worlds(py::class_<ModelBuilder>& c) {
             b.add_builder(builder, to_transform(xform, "xform"));
           },
           "builder"_a, "xform"_a = py::none(),
-          "Adds everything of another builder to the current world, moved by `xform` (m, xyzw). "
-          "The world takes that builder's gravity. Outside of worlds this builder takes the "
-          "gravity. ValueError: another up axis, this builder itself, a bad pose.")
+          "Adds copies of all objects of another builder to the current world, moved by `xform` "
+          "(m, quaternion xyzw). The world gets the gravity of the other builder. Outside of "
+          "worlds, this builder gets the gravity. ValueError: the up axes differ, `builder` is "
+          "this builder, or the pose is not valid.")
       .def(
           "add_world",
           [](ModelBuilder& b, const ModelBuilder& builder, py::handle xform) {
             return b.add_world(builder, to_transform(xform, "xform"));
           },
           "builder"_a, "xform"_a = py::none(),
-          "Adds a builder as a new world, moved by `xform` (m, xyzw). Calls begin_world, "
-          "add_builder "
-          "and end_world. Returns the index of the world.")
+          "Adds a copy of a builder as a new world, moved by `xform` (m, quaternion xyzw). The "
+          "same as begin_world, add_builder and end_world. Returns the index of the world.")
       .def(
           "replicate",
           [](ModelBuilder& b, const ModelBuilder& builder, int32_t world_count,
@@ -205,8 +206,9 @@ void bind_worlds(py::class_<ModelBuilder>& c) {
             b.replicate(builder, world_count, to_vec3(spacing, "spacing"));
           },
           "builder"_a, "world_count"_a, "spacing"_a = py::make_tuple(0.0, 0.0, 0.0),
-          "Calls add_world `world_count` times, on a grid. The grid extends along the axes where "
-          "`spacing` (m) is not 0. The grid is centered at the origin, except along the up axis, "
+          "Adds `world_count` copies of a builder as new worlds, placed on a grid. `spacing` is "
+          "the distance of neighboring worlds along x, y and z (m). The grid has one row along an "
+          "axis whose spacing is 0. The grid is centered at the origin, except along the up axis, "
           "where it starts at 0.");
 }
 
@@ -228,8 +230,7 @@ void bind_bodies(py::class_<ModelBuilder>& c) {
                     "The initial poses of the bodies' origins (m, quaternion xyzw, world frame).");
   bind_builder_list(c, "body_qd", &ModelBuilder::body_qd,
                     "The initial velocities of the bodies, in the world frame: the velocity of the "
-                    "center of mass "
-                    "(m/s), then the angular velocity (rad/s).");
+                    "center of mass (m/s), then the angular velocity (rad/s).");
   const auto bind = [&](const char* name, int32_t (ModelBuilder::*add)(const BodyArgs&),
                         const char* doc) {
     c.def(
@@ -253,8 +254,8 @@ void bind_bodies(py::class_<ModelBuilder>& c) {
   };
   bind("add_body", &ModelBuilder::add_body, doc::kAddBody);
   bind("add_link", &ModelBuilder::add_link,
-       "Adds a body without a joint, with the arguments of add_body. The mass may be 0. finalize "
-       "refuses a link that is the child of no joint. Returns the index.");
+       "Adds a body without a joint and returns its index. For the arguments see add_body. The "
+       "mass may be 0. finalize raises ValueError if the link is not the child of a joint.");
 }
 
 }  // namespace
@@ -273,8 +274,8 @@ void bind_builder(py::module_& m) {
           return ModelBuilder(to_axis(up_axis), to_gravity(gravity));
         }),
         "up_axis"_a = 2, "gravity"_a = py::none(),
-        "Makes an empty builder. up_axis: Axis, \"x\", \"y\" or \"z\". gravity: m/s^2. None is "
-        "-9.81 along the up axis, a number is along the up axis, a vector is in the world frame.");
+        "Makes an empty builder. up_axis: an Axis, \"x\", \"y\" or \"z\". gravity (m/s^2): a "
+        "vector in the world frame, or a number along the up axis. None: -9.81 along the up axis.");
   c.attr("ShapeConfig") = m.attr("ShapeConfig");
   c.def_property(
        "gravity", [](const ModelBuilder& b) { return to_tuple(b.gravity); },
@@ -293,11 +294,11 @@ void bind_builder(py::module_& m) {
           "up_vector", [](const ModelBuilder& b) { return to_tuple(b.up_vector()); },
           "The unit vector of the up axis.")
       .def_readwrite("default_particle_radius", &ModelBuilder::default_particle_radius,
-                     "The radius of particles that are added without one (m).")
+                     "The radius (m) of particles that are added without a radius.")
       .def_readwrite("default_shape_cfg", &ModelBuilder::default_shape_cfg,
-                     "The ShapeConfig of shapes that are added without one.")
+                     "The ShapeConfig of shapes that are added without a cfg.")
       .def_readwrite("rigid_gap", &ModelBuilder::rigid_gap,
-                     "The gap (m) of shapes whose ShapeConfig has none.")
+                     "The gap (m) of shapes whose ShapeConfig has the gap None.")
       .def_readwrite("balance_inertia", &ModelBuilder::balance_inertia, doc::kBalanceInertia)
       .def_readwrite("bound_mass", &ModelBuilder::bound_mass, doc::kBoundMass)
       .def_readwrite("bound_inertia", &ModelBuilder::bound_inertia, doc::kBoundInertia)
@@ -373,9 +374,7 @@ void bind_builder(py::module_& m) {
                           {.requires_grad = requires_grad, .skip_validation = skip_validation});
       },
       "device"_a = py::none(), py::kw_only(), "requires_grad"_a = false,
-      "skip_validation"_a = false,
-      "Checks the scene and returns a Model. The builder may be finalized again. novaphy.Error: "
-      "the device is not available.");
+      "skip_validation"_a = false, doc::kFinalize);
 }
 
 }  // namespace novaphy::python

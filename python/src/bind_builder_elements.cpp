@@ -10,7 +10,7 @@ namespace {
 using Builder = py::class_<ModelBuilder>;
 using OptionalFloat = std::optional<float>;
 
-// Returns indices as one flat list, from a flat list or from rows of `width`.
+// Returns indices as a flat list. The value is a flat list, or has rows of `width` indices.
 std::vector<int32_t> flat_indices(py::handle value, const char* name, int64_t width) {
   py::object array = numpy().asarray(value);
   if (array.attr("size").cast<int64_t>() == 0) return {};
@@ -21,7 +21,7 @@ std::vector<int32_t> flat_indices(py::handle value, const char* name, int64_t wi
   return to_int_list(array.attr("reshape")(-1), name);
 }
 
-// Returns no value for None, one value for a number, and the values of a list.
+// Returns the values of a list, a single value for a number, and an empty list for None.
 std::vector<float> one_or_each(py::handle value, const char* name) {
   if (value.is_none()) return {};
   if (PyFloat_Check(value.ptr()) || PyLong_Check(value.ptr())) return {to_float(value, name)};
@@ -31,7 +31,7 @@ std::vector<float> one_or_each(py::handle value, const char* name) {
   return to_float_list(value, name);
 }
 
-// Returns materials from parallel lists: none if all are None, else one for all or one for each.
+// Returns no material if all columns are None, one if no column is a list, else one per element.
 template <class Material>
 std::vector<Material> materials(
     std::initializer_list<std::tuple<py::handle, const char*, OptionalFloat Material::*>> columns) {
@@ -120,8 +120,8 @@ void bind_single(Builder& c) {
       },
       "i"_a, "j"_a, "k"_a, "l"_a, py::kw_only(), "k_mu"_a = py::none(), "k_lambda"_a = py::none(),
       "k_damp"_a = py::none(),
-      "Adds many tetrahedra from four lists of particles. A material of add_tetrahedron is one "
-      "number, or a list with one number for each tetrahedron. Returns the volumes (m^3).");
+      "Adds n tetrahedra from four lists {n} of particles. Returns the volumes {n} (m^3). Each "
+      "material (see add_tetrahedron) is one number, or a list with one number per tetrahedron.");
   c.def(
       "add_edge",
       [](ModelBuilder& b, int32_t i, int32_t j, int32_t k, int32_t l, OptionalFloat rest,
@@ -142,8 +142,8 @@ void bind_single(Builder& c) {
       },
       "i"_a, "j"_a, "k"_a, "l"_a, py::kw_only(), "rest"_a = py::none(), "edge_ke"_a = py::none(),
       "edge_kd"_a = py::none(),
-      "Adds many bending edges from four lists of particles. rest is None, or a list of angles "
-      "(rad). A material of add_edge is one number, or a list with one number for each edge.");
+      "Adds n bending edges from four lists {n} of particles. rest: None, or a list {n} of angles "
+      "(rad). Each material (see add_edge) is one number, or a list with one number per edge.");
 }
 
 void bind_grids(Builder& c) {
@@ -231,7 +231,7 @@ void bind_grids(Builder& c) {
       "particle_radius"_a = py::none(), doc::kAddSoftGrid);
 }
 
-// Returns the argument, or the attribute of the mesh if the argument is None.
+// Returns the argument. If the argument is None, returns the attribute of the mesh.
 py::object given_or(const py::object& mesh, const char* attribute, const py::object& argument) {
   if (!argument.is_none() || mesh.is_none()) return argument;
   return py::getattr(mesh, attribute, py::none());
@@ -369,9 +369,9 @@ void bind_coloring(Builder& c) {
             b.set_coloring(lists, allow_conflicts);
           },
           "groups"_a, "allow_conflicts"_a = false,
-          "Sets the particles of each color. ValueError: an empty group, a particle in two groups "
-          "or in none, or without allow_conflicts an element with two corners of one color. "
-          "IndexError: a particle that does not exist.");
+          "Sets the colors: `groups` has a list of particles for each color. ValueError: a group "
+          "is empty, a particle is in no group or in two, or without allow_conflicts an element "
+          "has two corners of one color. IndexError: a particle does not exist.");
 }
 
 }  // namespace

@@ -64,8 +64,9 @@ JointArgs joint_args(py::handle parent_xform, py::handle child_xform, std::optio
 void bind_dof_config(py::module_& m) {
   py::class_<JointDofConfig> c(
       m, "JointDofConfig",
-      "One degree of freedom of a joint. All numbers are finite. All but the axis, the targets and "
-      "the limits are >= 0. target_q and target_qd: None means 0. actuator_mode: None means "
+      "The axis, limits and drive of one degree of freedom of a joint. All numbers are finite. All "
+      "numbers are >= 0, except the axis, the targets and the limits. Arguments that are None get "
+      "the default. The default of the targets is 0. The default of actuator_mode is "
       "POSITION_VELOCITY.");
   c.def(py::init([](py::handle axis NOVAPHY_DOF_NUMBERS(NOVAPHY_PARAMETER),
                     std::optional<int32_t> actuator_mode) {
@@ -83,12 +84,13 @@ void bind_dof_config(py::module_& m) {
   c.def_property(
        "axis", [](const JointDofConfig& dof) { return to_tuple(dof.axis); },
        [](JointDofConfig& dof, py::handle axis) { dof.axis = to_direction(axis); },
-       "The axis in the joint frame of the parent: an Axis, or a vector of any length but 0.")
+       "The axis in the parent's joint frame: an Axis, or a vector whose length is not 0.")
       .def_property(
           "actuator_mode",
           [](const JointDofConfig& dof) { return static_cast<int32_t>(dof.actuator_mode); },
           [](JointDofConfig& dof, int32_t mode) { dof.actuator_mode = to_mode(mode); },
-          "The JointTargetMode: the targets that the drive follows.")
+          "The JointTargetMode: whether the drive uses the position target, the velocity target or "
+          "both.")
       .def_static(
           "create_unlimited",
           [](py::handle axis) {
@@ -96,7 +98,7 @@ void bind_dof_config(py::module_& m) {
             dof.axis = to_direction(axis);
             return dof;
           },
-          "axis"_a, "Returns a degree of freedom about or along `axis`, without limits and drive.");
+          "axis"_a, "Returns a JointDofConfig for `axis`, without limits and without a drive.");
   add_settings_pickle(c);
 }
 
@@ -157,9 +159,9 @@ void bind_general_joints(Builder& c) {
           "angular_axes"_a = py::none(), "parent_xform"_a = py::none(),
           "child_xform"_a = py::none(), "collision_filter_parent"_a = py::none(),
           "enabled"_a = true, "label"_a = py::none(),
-          "Adds a joint with translations along linear_axes, then rotations about angular_axes. "
-          "Each axis is fixed in the frame that the rotations before it have turned. Returns the "
-          "index.")
+          "Adds a D6 joint and returns its index: translations along linear_axes, then rotations "
+          "about angular_axes, which are lists of up to three JointDofConfigs. The rotations are "
+          "applied in order, and each axis rotates with the rotations before it.")
       .def(
           "add_joint_fixed",
           [](ModelBuilder& b, int32_t parent, int32_t child, py::handle parent_xform,
@@ -171,9 +173,8 @@ void bind_general_joints(Builder& c) {
           "parent"_a, "child"_a, py::kw_only(), "parent_xform"_a = py::none(),
           "child_xform"_a = py::none(), "collision_filter_parent"_a = py::none(),
           "enabled"_a = true, "label"_a = py::none(),
-          "Adds a joint that fixes the child to the parent: the frames parent_xform and "
-          "child_xform "
-          "(m, xyzw) coincide. Returns the index.");
+          "Adds a joint that fixes the child to the parent and returns its index. The joint frames "
+          "parent_xform and child_xform (m, quaternion xyzw) coincide.");
 }
 
 void bind_ball_joint(Builder& c) {
@@ -205,10 +206,11 @@ void bind_ball_joint(Builder& c) {
       "target_q"_a = py::none(), "target_ke"_a = 0.0f, "target_kd"_a = 0.0f,
       "limit_angle"_a = kJointUnlimited, "limit_ke"_a = 1.0e4f, "limit_kd"_a = 10.0f,
       "collision_filter_parent"_a = py::none(), "enabled"_a = true, "label"_a = py::none(),
-      "Adds a ball joint: the origins of the joint frames coincide. armature (kg*m^2), friction "
-      "(N*m) and damping (N*m*s/rad) act on each axis. The drive turns to target_q (xyzw) with the "
-      "gains target_ke (N*m/rad) and target_kd (N*m*s/rad). Beyond limit_angle (rad), a spring "
-      "limit_ke and a damper limit_kd push the rotation back. Returns the index.");
+      "Adds a ball joint and returns its index. The origins of the joint frames coincide. armature "
+      "(kg*m^2), friction (N*m) and damping (N*m*s/rad) act on each axis. A drive with the gains "
+      "target_ke (N*m/rad) and target_kd (N*m*s/rad) rotates the joint to target_q (quaternion "
+      "xyzw). Beyond limit_angle (rad), a spring limit_ke (N*m/rad) and a damper limit_kd "
+      "(N*m*s/rad) push the rotation back.");
 }
 
 void bind_other_joints(Builder& c) {
@@ -228,8 +230,8 @@ void bind_other_joints(Builder& c) {
        "child"_a, py::kw_only(), "parent_xform"_a = py::none(), "child_xform"_a = py::none(),
        "parent"_a = -1, "collision_filter_parent"_a = py::none(), "enabled"_a = true,
        "label"_a = py::none(),
-       "Adds a joint without a constraint, whose coordinates are those of a free body. The "
-       "coordinates start at the body's present pose. Returns the index.")
+       "Adds a FREE joint, which does not constrain the child, and returns its index. The initial "
+       "coordinates are those of the child's pose.")
       .def(
           "add_joint_distance",
           [](ModelBuilder& b, int32_t parent, int32_t child, py::handle parent_xform,
@@ -252,9 +254,9 @@ void bind_other_joints(Builder& c) {
           "child_xform"_a = py::none(), "min_distance"_a = -1.0f, "max_distance"_a = 1.0f,
           "limit_ke"_a = DistanceJointArgs().limit_ke, "limit_kd"_a = DistanceJointArgs().limit_kd,
           "collision_filter_parent"_a = py::none(), "enabled"_a = true, "label"_a = py::none(),
-          "Adds a joint that keeps the distance of the origins of both joint frames from "
-          "min_distance to max_distance (m). A negative bound is no limit. A spring limit_ke (N/m) "
-          "and a damper limit_kd (N*s/m) act at the bounds. Returns the index.");
+          "Adds a joint that keeps the distance between the origins of the two joint frames from "
+          "min_distance to max_distance (m). Returns the index. A negative bound means no limit. "
+          "Beyond a bound, a spring limit_ke (N/m) and a damper limit_kd (N*s/m) act.");
 }
 
 void bind_planar_joint(Builder& c) {
@@ -284,9 +286,10 @@ void bind_articulations(Builder& c) {
          return b.add_articulation(to_int_list(joints, "joints"), label.value_or(""));
        },
        "joints"_a, py::kw_only(), "label"_a = py::none(),
-       "Makes an articulation of joints: their indices, contiguous and increasing, with parents "
-       "before children. Returns the index. ValueError: another order, two joints with one child, "
-       "a second root, or a joint of another articulation or world.")
+       "Makes an articulation from joints and returns its index. `joints` are the indices of the "
+       "joints, contiguous and increasing, with parents before children. ValueError: the order is "
+       "different, two joints have the same child, there is a second root, or a joint belongs to "
+       "another articulation or world.")
       .def("add_constraint_mimic", &ModelBuilder::add_constraint_mimic, "joint0"_a, "joint1"_a,
            "coef0"_a = 0.0f, "coef1"_a = 1.0f, doc::kAddMimic)
       .def(
@@ -320,7 +323,7 @@ void bind_joint_dof_config(py::module_& m) { bind_dof_config(m); }
 void bind_builder_joints(Builder& c) {
   c.attr("JointDofConfig") = py::type::of<JointDofConfig>();
   c.def_readwrite("default_joint_cfg", &ModelBuilder::default_joint_cfg,
-                  "The JointDofConfig of revolute and prismatic joints that are added without one.")
+                  "The JointDofConfig with the defaults of revolute, prismatic and planar joints.")
       .def_property_readonly("joint_count", &ModelBuilder::joint_count, "The number of joints.")
       .def_property_readonly("joint_coord_count", &ModelBuilder::joint_coord_count,
                              "The number of joint coordinates.")
@@ -329,15 +332,14 @@ void bind_builder_joints(Builder& c) {
       .def_property_readonly("articulation_count", &ModelBuilder::articulation_count,
                              "The number of articulations.");
   bind_axis_joint(c, "add_joint_revolute", &ModelBuilder::add_joint_revolute,
-                  "Adds a revolute joint and returns its index. The child turns about `axis`, an "
-                  "Axis or a vector in the joint frame, through the origins of the joint frames. "
-                  "The other numbers are the fields of JointDofConfig. None takes the value of "
-                  "default_joint_cfg.");
+                  "Adds a revolute joint and returns its index. The child rotates about `axis` (an "
+                  "Axis, or a vector in the joint frame) through the origin of the joint frame. "
+                  "For the numbers see JointDofConfig. None: the value of default_joint_cfg.");
   bind_axis_joint(
       c, "add_joint_prismatic", &ModelBuilder::add_joint_prismatic,
-      "Adds a prismatic joint and returns its index. The child moves along `axis`, an Axis or a "
-      "vector in the joint frame. The other numbers are the fields of JointDofConfig. None takes "
-      "the value of default_joint_cfg.");
+      "Adds a prismatic joint and returns its index. The child moves along `axis` (an Axis, or a "
+      "vector in the joint frame). For the numbers see JointDofConfig. None: the value of "
+      "default_joint_cfg.");
   bind_ball_joint(c);
   bind_other_joints(c);
   bind_general_joints(c);

@@ -98,7 +98,8 @@ void bind_solids(py::class_<ModelBuilder>& c) {
        },
        "body"_a, py::kw_only(), "xform"_a = py::none(), "radius"_a = 1.0f, "cfg"_a = py::none(),
        "color"_a = py::none(), "label"_a = py::none(),
-       "Adds a sphere (radius in m). Returns the index.")
+       "Adds a sphere with a radius (m) and returns its index. xform: the pose in the body (m, "
+       "xyzw). For cfg and color see add_shape.")
       .def(
           "add_shape_box",
           [](ModelBuilder& b, int32_t body, py::handle xform, float hx, float hy, float hz,
@@ -142,9 +143,8 @@ void bind_round_solids(py::class_<ModelBuilder>& c) {
        },
        "body"_a, py::kw_only(), "xform"_a = py::none(), "radius"_a = 1.0f, "half_height"_a = 0.5f,
        "cfg"_a = py::none(), "color"_a = py::none(), "label"_a = py::none(),
-       "Adds a capsule along local z, with its radius and half_height (m). half_height leaves the "
-       "round caps out. "
-       "Returns the index.")
+       "Adds a capsule along local z and returns its index. radius: m. half_height: half the "
+       "length of the cylindrical part, without the round caps (m).")
       .def(
           "add_shape_cylinder",
           [](ModelBuilder& b, int32_t body, py::handle xform, float radius, float half_height,
@@ -184,7 +184,7 @@ void bind_builder_shapes(py::class_<ModelBuilder>& c) {
   bind_solids(c);
   bind_round_solids(c);
   c.def("add_shape_collision_filter_pair", &ModelBuilder::add_shape_collision_filter_pair, "a"_a,
-        "b"_a, "Excludes contacts between two shapes. IndexError: a shape that does not exist.");
+        "b"_a, "Excludes contacts between the shapes a and b. IndexError: a shape does not exist.");
 }
 
 }  // namespace novaphy::python

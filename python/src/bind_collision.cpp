@@ -91,11 +91,10 @@ void bind_collision(py::module_& m) {
           },
           doc::kFilteredPairs)
       .def_property_readonly("fcl_pair_count", &CollisionPipeline::fcl_pair_count, doc::kFclPairs)
-      .def_property_readonly(
-          "fcl_fallback_count", &CollisionPipeline::fcl_fallback_count,
-          "The number of pairs in fcl_pair_count whose result of FCL was not used.")
+      .def_property_readonly("fcl_fallback_count", &CollisionPipeline::fcl_fallback_count,
+                             doc::kFclFallbacks)
       .def_property_readonly("soft_contact_margin", &CollisionPipeline::soft_contact_margin,
-                             "The margin of soft contacts in collide (m).")
+                             "The distance up to which collide finds soft contacts (m).")
       .def_property_readonly("rigid_contact_max", &CollisionPipeline::rigid_contact_max,
                              "The number of rows for rigid contacts in contacts().")
       .def_property_readonly("soft_contact_max", &CollisionPipeline::soft_contact_max,

@@ -1,4 +1,5 @@
-// Bindings of the sensitivity of articulations to parameters of their control.
+// Bindings of FeatherstoneAnalyticControlSensitivity: derivatives of an articulation by parameters
+// of its control.
 #include <pybind11/numpy.h>
 #include <pybind11/stl.h>
 
@@ -22,7 +23,7 @@ py::array_t<float> to_matrix(const std::vector<float>& values, py::ssize_t rows)
   return to;
 }
 
-// {dofs, parameters} numbers.
+// Reads an array {dofs, parameters}. ValueError: another shape.
 std::vector<float> to_changes(const Sensitivity& s, py::handle value, const char* name) {
   using Rows = py::array_t<float, py::array::c_style | py::array::forcecast>;
   const Rows rows = Rows::ensure(value);
@@ -75,7 +76,7 @@ void bind_control_sensitivity(py::module_& solvers) {
            "kind"_a = "position", "exact"_a = py::none(), "contact_projection"_a = false,
            py::arg("solver").none(true) = py::none(), doc::kSensitivityInit)
       .def("reset", &Sensitivity::reset, "state"_a,
-           "Starts at a state, and sets the derivative to 0 there.")
+           "Starts at a state and sets all derivatives to 0.")
       .def(
           "step",
           [](Sensitivity& s, const SimState& state_in, const SimState& state_out,
@@ -91,18 +92,18 @@ void bind_control_sensitivity(py::module_& solvers) {
           "dtarget_qd"_a = py::none(), "contacts"_a.none(true) = py::none(), doc::kSensitivityStep)
       .def_property_readonly(
           "dq", [](const Sensitivity& s) { return to_matrix(s.dq(), s.dof_count()); },
-          "The derivative of joint_q {dofs, parameters}. The rows of a FREE root are those of its "
-          "center of mass, then of its rotation vector.")
+          "The derivative of joint_q by the parameters {dofs, parameters}. The rows of a FREE root "
+          "are its center of mass (m), then a small rotation vector (rad).")
       .def_property_readonly(
           "dqd", [](const Sensitivity& s) { return to_matrix(s.dqd(), s.dof_count()); },
-          "The derivative of joint_qd {dofs, parameters}.")
+          "The derivative of joint_qd by the parameters {dofs, parameters}.")
       .def_property_readonly(
           "point_jacobian", [](const Sensitivity& s) { return to_matrix(s.point_jacobian(), 3); },
-          "The derivative of point() {3, parameters}, in world axes.")
+          "The derivative of point() by the parameters {3, parameters}, in world axes.")
       .def_property_readonly(
           "point_velocity_jacobian",
           [](const Sensitivity& s) { return to_matrix(s.point_velocity_jacobian(), 3); },
-          "The derivative of point_velocity() {3, parameters}, in world axes.")
+          "The derivative of point_velocity() by the parameters {3, parameters}, in world axes.")
       .def(
           "point", [](const Sensitivity& s) { return to_tuple(s.point()); },
           "Returns the position of the point (m, world frame).")

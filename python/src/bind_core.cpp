@@ -46,10 +46,10 @@ void bind_devices(py::module_& m) {
           "ordinal", [](const Device& d) { return d.ordinal; },
           "The index among the devices of its type.")
       .def_property_readonly(
-          "name", [](const Device& d) { return device_info(d).name; }, "The hardware's name.")
+          "name", [](const Device& d) { return device_info(d).name; }, "The name of the hardware.")
       .def_property_readonly(
           "arch", [](const Device& d) { return device_info(d).arch; },
-          "The compute capability, such as 90; 0 on the cpu.")
+          "The compute capability of a CUDA device, such as 90 for 9.0; 0 on the CPU.")
       .def_property_readonly(
           "total_memory", [](const Device& d) { return device_info(d).total_memory; },
           "The memory of the device (bytes).")
@@ -63,7 +63,7 @@ void bind_devices(py::module_& m) {
       .def_property_readonly(
           "supports_graph_capture",
           [](const Device& d) { return device_info(d).supports_graph_capture; },
-          "Whether the driver itself replays captured work.")
+          "Whether the driver of the device can capture and replay work as a graph.")
       .def("__eq__",
            [](const Device& d, py::handle other) {
              if (PyUnicode_Check(other.ptr())) return d == Device::parse(other.cast<std::string>());
@@ -98,15 +98,15 @@ void bind_devices(py::module_& m) {
         synchronize(d);
       },
       "device"_a = py::none(), "Waits until all work of a device is done.");
-  py::class_<Event>(m, "Event", "A mark in the work of a device, for measuring time on it.")
+  py::class_<Event>(m, "Event", "A mark in the sequence of a device's work, to measure times.")
       .def(py::init([](py::handle device) { return std::make_unique<Event>(to_device(device)); }),
            "device"_a = py::none())
       .def_property_readonly("device", &Event::device, "The device of the event.")
-      .def("record", &Event::record, "Marks the work that was issued so far.")
+      .def("record", &Event::record, "Places the mark after all work that was issued so far.")
       .def("synchronize", &Event::synchronize, release_gil(),
            "Waits until the device has reached the mark.")
       .def_static("elapsed", &Event::elapsed, "start"_a, "stop"_a, release_gil(),
-                  "Returns the seconds between two marks of one device. Waits for the second.");
+                  "Waits for the second of two marks, and returns the time between them (s).");
   py::class_<ScopedDevice>(m, "ScopedDevice", "A context manager that sets the default device.")
       .def(py::init([](py::handle spec) { return ScopedDevice(to_device(spec)); }), "spec"_a)
       .def("__enter__", &ScopedDevice::enter)
@@ -114,10 +114,10 @@ void bind_devices(py::module_& m) {
 }
 
 void bind_backends(py::module_& m) {
-  py::class_<BackendInfo>(m, "BackendInfo",
-                          "A backend that was found: loaded, or refused with a reason.")
+  py::class_<BackendInfo>(m, "BackendInfo", "A backend that was found, and whether it was loaded.")
       .def_readonly("name", &BackendInfo::name,
-                    "The name, such as \"cpu\"; the name of a file that was not loaded.")
+                    "The name of the backend, such as \"cpu\", or of the file if it was not "
+                    "loaded.")
       .def_readonly("version", &BackendInfo::version, "The version of the backend.")
       .def_property_readonly(
           "abi_version",
@@ -129,7 +129,7 @@ void bind_backends(py::module_& m) {
       .def_readonly("loaded", &BackendInfo::loaded,
                     "Whether the backend was loaded; if not, `error` has the reason.")
       .def_readonly("active", &BackendInfo::active,
-                    "Whether the backend serves its type of device.")
+                    "Whether the backend is the one that is used for its type of device.")
       .def_readonly("device_count", &BackendInfo::device_count,
                     "The number of devices that the backend offers.")
       .def_readonly("error", &BackendInfo::error,
@@ -146,7 +146,8 @@ void bind_backends(py::module_& m) {
         return load_backend(py::module_::import("os").attr("fspath")(path).cast<std::string>());
       },
       "path"_a,
-      "Loads a backend plugin from a path. novaphy.Error, with the reason: the plugin is refused.");
+      "Loads a backend plugin from a file. novaphy.Error: the plugin was refused; the message has "
+      "the reason.");
 }
 
 }  // namespace

@@ -37,28 +37,28 @@ using diff::Trajectory;
 #define NOVAPHY_BIND_STATE_VIEW(field)                                                      \
   m.def("state_" #field "_tensor", &diff::state_##field##_tensor, "state"_a,                \
         "requires_grad"_a = false,                                                          \
-        "The state's " #field                                                               \
-        " as a Tensor: the same memory, the same Tensor at every call. requires_grad=True " \
-        "turns the gradient on; False leaves it as it is.");
+        "Returns state." #field                                                             \
+        " as a Tensor over the same memory, the same object in every call. requires_grad: " \
+        "True makes the Tensor a leaf; False changes nothing.");
 #define NOVAPHY_BIND_MODEL_VIEW(field)                                                      \
   m.def("model_" #field "_tensor", &diff::model_##field##_tensor, "model"_a,                \
         "requires_grad"_a = false,                                                          \
-        "The model's " #field                                                               \
-        " as a Tensor: the same memory, the same Tensor at every call. requires_grad=True " \
-        "turns the gradient on; False leaves it as it is.");
+        "Returns model." #field                                                             \
+        " as a Tensor over the same memory, the same object in every call. requires_grad: " \
+        "True makes the Tensor a leaf; False changes nothing.");
 
 #define NOVAPHY_BIND_ELEMENT_VIEW(name, field)                                              \
   m.def("model_" #name "_tensor", &diff::model_##name##_tensor, "model"_a,                  \
         "requires_grad"_a = false,                                                          \
-        "The model's " #field                                                               \
-        " as a Tensor: the same memory, the same Tensor at every call. requires_grad=True " \
-        "turns the gradient on; False leaves it as it is.");
+        "Returns model." #field                                                             \
+        " as a Tensor over the same memory, the same object in every call. requires_grad: " \
+        "True makes the Tensor a leaf; False changes nothing.");
 #define NOVAPHY_BIND_CONTROL_VIEW(name, field)                                              \
   m.def("control_" #name "_tensor", &diff::control_##name##_tensor, "control"_a,            \
         "requires_grad"_a = false,                                                          \
-        "The control's " #field                                                             \
-        " as a Tensor: the same memory, the same Tensor at every call. requires_grad=True " \
-        "turns the gradient on; False leaves it as it is.");
+        "Returns control." #field                                                           \
+        " as a Tensor over the same memory, the same object in every call. requires_grad: " \
+        "True makes the Tensor a leaf; False changes nothing.");
 
 void bind_views(py::module_& m) {
   NOVAPHY_STATE_VIEWS(NOVAPHY_BIND_STATE_VIEW)
@@ -66,8 +66,8 @@ void bind_views(py::module_& m) {
   NOVAPHY_ELEMENT_VIEWS(NOVAPHY_BIND_ELEMENT_VIEW)
   NOVAPHY_CONTROL_VIEWS(NOVAPHY_BIND_CONTROL_VIEW)
   m.def("update_inverse_mass", &diff::update_inverse_mass, "model"_a, release_gil(),
-        "Sets particle_inv_mass to 1 / particle_mass, or 0 where the mass is 0. A tape does not "
-        "record the call.");
+        "Sets model.particle_inv_mass to 1 / particle_mass (1/kg), or to 0 for the mass 0. A tape "
+        "does not record the call.");
 }
 
 void bind_operators(py::module_& m) {
@@ -83,25 +83,22 @@ void bind_operators(py::module_& m) {
   m.def("eval_static_particle_shape_contact_forces_generated",
         &diff::eval_static_particle_shape_contact_forces_generated, "model"_a, "particle_q"_a,
         "particle_qd"_a, "particle_f"_a, "soft_contact_margin"_a = 0.0f, release_gil(),
-        "Returns particle_f {n, 3} plus the forces (N) of all world-owned planes, boxes, spheres, "
-        "capsules, cylinders, cones and ellipsoids, at their true distance. Gradients are exact "
-        "for positions, velocities, forces, radii and materials. Shapes carry no gradient.");
+        doc::kStaticForces);
   m.def("integrate_particles_generated", &diff::integrate_particles_generated, "model"_a,
-        "particle_q"_a, "particle_qd"_a, "particle_f"_a, "dt"_a, release_gil(),
-        "Returns (positions {n, 3} m, velocities {n, 3} m/s) after a step dt (s) of symplectic "
-        "Euler. Gradients are exact, also for gravity and masses.");
+        "particle_q"_a, "particle_qd"_a, "particle_f"_a, "dt"_a, release_gil(), doc::kParticleStep);
   m.def("integrate_particles_with_static_contacts_generated",
         &diff::integrate_particles_with_static_contacts_generated, "model"_a, "particle_q"_a,
         "particle_qd"_a, "particle_f"_a, "soft_contact_margin"_a, "dt"_a, release_gil(),
-        "Adds the forces of static shapes and integrates in one kernel. Returns (q, qd), with the "
-        "bits of the two functions one after the other.");
+        "Computes eval_static_particle_shape_contact_forces_generated and "
+        "integrate_particles_generated in one kernel. Returns (q, qd), with the same bits.");
   m.def("integrate_rigid_bodies_with_static_contacts_generated",
         &diff::integrate_rigid_bodies_with_static_contacts_generated, "model"_a, "body_q"_a,
         "body_qd"_a, "body_f"_a, "angular_damping"_a, "friction_smoothing"_a, "dt"_a,
         "newton_spin"_a = false, release_gil(), doc::kRigidStep);
   m.def("body_twist_from_omega_generated", &diff::body_twist_from_omega_generated, "omega"_a,
         "linear_x"_a, "linear_y"_a, "linear_z"_a, release_gil(),
-        "Returns rows (linear_x, linear_y, linear_z, omega) {b, 6}; omega {b, 3} is in rad/s.");
+        "Returns velocities {b, 6} of bodies: linear (m/s), then the rows of omega {b, 3} "
+        "(rad/s).");
   m.def(
       "rigid_orientation_velocity_loss_generated",
       [](const Tensor& body_q, const Tensor& body_qd, int64_t body_index, py::handle local_axis_a,
@@ -125,33 +122,30 @@ void bind_operators(py::module_& m) {
       "linear_velocity_weight"_a = 0.0f, "angular_velocity_weight"_a = 0.0f, doc::kOrientationLoss);
   m.def("assign_tet_materials_generated", &diff::assign_tet_materials_generated,
         "material_params"_a, "base_tet_materials"_a, "tet_count"_a, release_gil(),
-        "Returns materials {tet_count, 3}: k_mu and k_lambda (Pa) from parameters {2} or {2 * "
-        "tet_count}, k_damp from the base {tet_count, 3}. Gradients are exact.");
+        "Returns tet materials {tet_count, 3}: k_mu and k_lambda (Pa) from material_params, {2} or "
+        "{2 * tet_count}, and k_damp from base_tet_materials {tet_count, 3}. Gradients are exact.");
   m.def("eval_tetrahedra_forces_generated", &diff::eval_tetrahedra_forces_generated, "model"_a,
         "particle_q"_a, "particle_qd"_a, "particle_f"_a, "tet_activations"_a, "tet_materials"_a,
         release_gil(),
         "Returns particle_f {n, 3} plus the forces (N) of all tetrahedra, for activations {k} and "
-        "materials {k, 3}. Gradients are exact for all inputs.");
+        "materials {k, 3} (k_mu, k_lambda, k_damp). Gradients are exact for all inputs.");
   m.def("eval_triangle_forces_generated", &diff::eval_triangle_forces_generated, "model"_a,
         "particle_q"_a, "particle_qd"_a, "particle_f"_a, "tri_activations"_a, "tri_materials"_a,
-        release_gil(),
-        "Returns particle_f {n, 3} plus the forces (N) of all triangles, for activations {t} and "
-        "materials {t, 5}. Gradients are exact for all inputs.");
+        release_gil(), doc::kTrianglesForces);
   m.def("eval_spring_forces_generated", &diff::eval_spring_forces_generated, "model"_a,
         "particle_q"_a, "particle_qd"_a, "particle_f"_a, "spring_stiffness"_a, "spring_damping"_a,
-        "spring_rest_length"_a, release_gil(),
-        "Returns particle_f {n, 3} plus the forces (N) of all springs, for stiffness, damping and "
-        "rest lengths {s}. Gradients are exact for all inputs.");
+        "spring_rest_length"_a, release_gil(), doc::kSpringsForces);
   m.def("eval_bending_forces_generated", &diff::eval_bending_forces_generated, "model"_a,
         "particle_q"_a, "particle_qd"_a, "particle_f"_a, "edge_materials"_a, "edge_rest_angle"_a,
         release_gil(),
         "Returns particle_f {n, 3} plus the forces (N) of all bending edges, for materials {e, 2} "
-        "and rest angles {e}. Gradients are exact for all inputs.");
+        "(edge_ke, edge_kd) and rest angles {e} (rad). Gradients are exact for all inputs.");
   m.def("particle_point_loss_generated", &diff::particle_point_loss_generated, "particle_q"_a,
         "particle_index"_a, "target_x"_a, "target_y"_a, "target_z"_a, release_gil(),
-        "Returns |q[particle_index] - target|^2 {1} (m^2). IndexError: no such particle.");
+        "Returns |q[particle_index] - target|^2 {1} (m^2). IndexError: the particle does not "
+        "exist.");
   m.def("particle_centroid_generated", &diff::particle_centroid_generated, "particle_q"_a,
-        release_gil(), "Returns the mean position {1, 3} (m), without weights.");
+        release_gil(), "Returns the unweighted mean position {1, 3} (m) of all particles.");
   m.def("vec3_point_loss_generated", &diff::vec3_point_loss_generated, "point"_a, "target_x"_a,
         "target_y"_a, "target_z"_a, release_gil(),
         "Returns |point - target|^2 {1} (m^2) for a point {1, 3} or {3}.");
@@ -160,7 +154,8 @@ void bind_operators(py::module_& m) {
         "Limits x to [lower, upper]. The gradient is 1 inside and at the bounds, 0 outside.");
 }
 
-// Returns a whole field as one tensor: {kept, n, 3} for carried vectors, {n, 3} for applied ones.
+// Returns a field of all kept states as one tensor, such as {kept, n, 3}; {n, 3} for applied
+// forces.
 Tensor whole(const Trajectory& t, FieldRole role, const Array& array) {
   if (role == FieldRole::Applied) return Tensor::view(array);
   nova::Shape shape = array.shape();
@@ -169,7 +164,7 @@ Tensor whole(const Trajectory& t, FieldRole role, const Array& array) {
   return {array.range(), std::move(shape), Tensor::view(array).dtype()};
 }
 
-// Returns a size such as "64MiB" in bytes.
+// Returns the number of bytes of a text such as "64MiB".
 uint64_t byte_count(const std::string& text) {
   uint64_t number = 0;
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
@@ -222,10 +217,10 @@ void bind_trajectory(py::module_& m) {
             return t.state(k < 0 ? k + t.steps() + 1 : k);
           },
           "t"_a, py::return_value_policy::reference_internal,
-          "Returns state t. IndexError: no such state. RuntimeError: a state that is not kept.")
+          "Returns state t. IndexError: t is out of range. RuntimeError: state t is not kept.")
       .def("recompute", &Trajectory::recompute, "t"_a, release_gil(), doc::kRecompute)
       .def_property_readonly("checkpoint_interval", &Trajectory::checkpoint_interval,
-                             "The interval of kept states; 1: all states are kept.")
+                             "Every how many steps a state is kept; 1: all states are kept.")
       .def_property_readonly(
           "kept_steps",
           [](const Trajectory& t) {
@@ -234,7 +229,7 @@ void bind_trajectory(py::module_& m) {
               if (t.keeps(k)) kept.append(k);
             return kept;
           },
-          "The indices of the kept states, in the order of the rows of particle_q.")
+          "The indices of the kept states, in the order of the rows of arrays like particle_q.")
       .def_property_readonly("steps", &Trajectory::steps,
                              "The number of steps, which is the number of states minus 1.")
       .def_property_readonly(
@@ -244,8 +239,8 @@ void bind_trajectory(py::module_& m) {
   {                                                                                               \
     const FieldInfo info = NOVAPHY_FIELD_INFO(name, __VA_ARGS__);                                 \
     const std::string doc =                                                                       \
-        (info.role == FieldRole::Applied ? "One array for all states: "                           \
-                                         : "An array {kept, ...} over the kept states: ") +       \
+        (info.role == FieldRole::Applied ? "One array, which all states share: "                  \
+                                         : "The array {kept, ...} of all kept states: ") +        \
         std::string(info.doc) + (info.unit.empty() ? "." : " (" + std::string(info.unit) + ")."); \
     c.def_property_readonly(                                                                      \
         #name,                                                                                    \
@@ -256,7 +251,8 @@ void bind_trajectory(py::module_& m) {
 #undef NOVAPHY_BIND_WHOLE
 }
 
-// Returns a Tensor {n, width} or {steps, n, width}, or a DeviceArray of T, as rows of T.
+// Returns forces as rows of T: from a Tensor {n, width} or {steps, n, width}, or a DeviceArray of
+// T.
 template <class T>
 DeviceArray<T> force_rows(const py::object& forces, const char* name, int32_t count) {
   constexpr int32_t kWidth = sizeof(T) / sizeof(float);
@@ -274,8 +270,8 @@ DeviceArray<T> force_rows(const py::object& forces, const char* name, int32_t co
       Array(DTypeOf<T>::value, static_cast<size_t>(tensor.size()) / kWidth, 1, tensor.range()));
 }
 
-// Returns the targets of kinematic particles {k, 3} or {steps, k, 3}. The rollout checks the number
-// of rows.
+// Returns the targets of kinematic particles as rows, from {k, 3} or {steps, k, 3}. The rollout
+// checks the number of rows.
 DeviceArray<Vec3f> target_rows(const py::object& targets) {
   if (py::isinstance<Array>(targets)) return DeviceArray<Vec3f>(targets.cast<Array>());
   require(py::isinstance<nova::TensorImpl>(targets), ErrorKind::Type,
@@ -290,7 +286,8 @@ DeviceArray<Vec3f> target_rows(const py::object& targets) {
       Array(DType::vec3, static_cast<size_t>(tensor.size()) / 3, 1, tensor.range()));
 }
 
-// The values of one array of a Control over the steps: a Tensor or DeviceArray {n} or {steps, n}.
+// An argument of rollout that replaces an array of the Control: a Tensor or DeviceArray, {n} for
+// all steps or {steps, n}.
 class ControlRows {
  public:
   ControlRows(const char* name, DeviceArray<float> ControlFields::*member, const py::object& given,
@@ -319,9 +316,10 @@ class ControlRows {
   }
 
  private:
-  // Returns the row of a step: a view, or a recorded copy if the array carries a gradient, because
-  // a gradient belongs to one range. The copy is taken from a block of rows. The gradient of a
-  // block is summed first, then that of the whole array.
+  // Returns the memory of a step's row. If the array requires a gradient, the row is a recorded
+  // copy, because a gradient belongs to one memory range. Rows are copied from blocks of 32 rows,
+  // so that the backward pass adds a row's gradient to its block, and a block's gradient to the
+  // array.
   std::shared_ptr<Range> row(int32_t step) {
     if (!change()) return values_.range();
     constexpr int32_t kBlock = 32;
@@ -337,12 +335,12 @@ class ControlRows {
 
   const char* name_;
   DeviceArray<float> ControlFields::*member_;
-  Tensor values_, block_;  // undefined: not given
+  Tensor values_, block_;  // undefined: the argument was not given
   bool carries_ = false;
 };
 
-// Returns the controls of a rollout with arrays from tensors: one control for all steps, or one for
-// each step. Arrays without a tensor are those of `control`, or of the model.
+// Returns the control of a rollout whose arrays are replaced by the given ones: one Control, or a
+// list with one per step. All other arrays are those of `control`, or of the model.
 py::object controls_of(const Model& model, const py::object& control, int32_t steps,
                        std::span<ControlRows> given) {
   const auto any = [](const ControlRows& g) { return g.any(); };
@@ -427,7 +425,7 @@ void rollout(SolverBase& solver, Trajectory& trajectory, const py::object& given
     const ReleasedGil no_gil;
     solver.rollout(trajectory, one, contacts, dt, options);
   }
-  // recompute needs these arguments again.
+  // Trajectory.recompute uses these arguments again, so the trajectory keeps them alive.
   const py::object kept = py::isinstance<py::sequence>(control) ? py::tuple(control) : control;
   py::cast(trajectory).attr("_rollout_of") =
       py::make_tuple(py::cast(&solver), kept, py::cast(contacts), forces, body_forces, targets,
@@ -445,7 +443,8 @@ void bind_rollout(py::module_& solvers) {
       doc::kRollout);
 }
 
-// The config of a solver is a copy. A write to it raises, because it would have no effect.
+// DiffSolverConfig in Python. solver.config is a copy, whose members cannot be assigned, because an
+// assignment would have no effect on the solver.
 struct Settings : DiffSolverConfig {
   bool of_solver = false;
 };
@@ -530,26 +529,23 @@ void bind_solver(py::module_& solvers) {
   NOVAPHY_MEMBER(enable_triangles, "Whether triangles act.")
   NOVAPHY_MEMBER(enable_springs, "Whether springs act.")
   NOVAPHY_MEMBER(enable_bending, "Whether bending edges act.")
-  NOVAPHY_MEMBER(enable_static_contacts,
-                 "Whether particles meet world-owned shapes at their true distance in every "
-                 "substep. `contacts` must then be None.")
+  NOVAPHY_MEMBER(enable_static_contacts, doc::kStaticContactsOption)
   NOVAPHY_MEMBER(static_contact_margin, "The distance up to which static contacts are found (m).")
   NOVAPHY_MEMBER(particle_kf_bound, doc::kKfBound)
   NOVAPHY_MEMBER(enable_rigid, "Whether bodies move.")
-  NOVAPHY_MEMBER(enable_rigid_contacts,
-                 "Whether contacts of bodies act: those of `contacts`, or with "
-                 "enable_static_contacts those with infinite planes of the world.")
+  NOVAPHY_MEMBER(enable_rigid_contacts, doc::kRigidContactsOption)
   NOVAPHY_MEMBER(angular_damping, "The angular damping of bodies (1/s).")
   NOVAPHY_MEMBER(friction_smoothing,
-                 "The slip below which the friction law \"huber\" is smooth (m/s); None: 0.1. The "
-                 "solver refuses a value with \"viscous\", which does not read it.")
+                 "The slip below which the friction law \"huber\" is smooth (m/s); None: 0.1. With "
+                 "\"viscous\", which does not use the value, the solver raises ValueError.")
   add_contact_laws(config, [](auto&&... of) { set(of...); });
   NOVAPHY_MEMBER(enable_joints, "Whether joints act, as springs and dampers.")
   NOVAPHY_MEMBER(joint_attach_ke, "The stiffness of the attachments of joints (N/m and N*m/rad).")
   NOVAPHY_MEMBER(joint_attach_kd,
-                 "The damping of the attachments of joints (N*s/m, and 0.01 of it N*m*s/rad).")
+                 "The damping of the attachments of joints (N*s/m). The angular damping is 0.01 "
+                 "times this number (N*m*s/rad).")
   add_contact_gradient(config);
-  NOVAPHY_MEMBER(strict, "Whether unsupported parts of a model raise; else they are left out.")
+  NOVAPHY_MEMBER(strict, "Whether unsupported parts of a model raise an error; False: ignore them.")
 #undef NOVAPHY_MEMBER
   add_settings_pickle(config);
 
@@ -561,13 +557,14 @@ void bind_solver(py::module_& solvers) {
                  model, given != nullptr ? DiffSolverConfig(*given) : DiffSolverConfig{});
            }),
            py::arg("model").none(false), "config"_a = py::none(),
-           "Makes a solver. NotImplementedError: unsupported parts of a model.")
+           "Makes a solver. config: a DiffSolverConfig; None: the default settings. "
+           "NotImplementedError: a part of the model is not supported.")
       .def_property_readonly(
           "config",
           [](const DiffSemiImplicitSolver& s) {
             return Settings{s.config(), true};
           },
-          "The settings of the solver. AttributeError: a setting is assigned.")
+          "A copy of the settings of the solver. Assigning a setting raises AttributeError.")
       .def(
           "stable_dt",
           [](const DiffSemiImplicitSolver& s, const SimState& state, const Contacts* contacts) {

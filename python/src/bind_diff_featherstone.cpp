@@ -1,4 +1,4 @@
-// Articulations on a tape.
+// Bindings of DiffFeatherstoneSolver, the planar arm and event_times.
 #include <pybind11/stl.h>
 
 #include "contact_options.h"
@@ -84,7 +84,7 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
       .def_property_readonly(
           "implicit_drives",
           [](const DiffFeatherstoneSolver& s) { return s.options().implicit_drives; },
-          "Whether drives are evaluated at the end of the step.");
+          "Whether drives, limits and damping are evaluated at the end of the step.");
   add_fast_step(solver);
 
   m.def("record_planar_2r_featherstone_step", &diff::record_planar_2r_featherstone_step, "model"_a,
@@ -96,14 +96,14 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
 
 void bind_event_times(py::module_& m) {
   m.def("event_times", &diff::event_times, "trajectory"_a, release_gil(),
-        "Returns the times {n} when contacts and limits of joints begin, in the order of "
-        "GradientInfo.event_list: s since the first step that filled the trajectory. The active "
-        "tape records the call. The solver needs contact_gradient=\"motion\".\n\nAn event of step "
-        "k has the time t_k + d / |J v|. Its derivative with respect to the positions of state k "
-        "is J / |J v|. Here d is the gap, J its derivative and v the rates (saltation matrix). The "
-        "number and the order of events are those of this run. Without events the result is "
-        "{0}.\n\nValueError: no tape is active, or the tape has no steps of such a "
-        "solver.\nNotImplementedError: a trajectory with checkpoints.");
+        "Returns the times {events} (s) at which contacts and joint limits begin, in the order of "
+        "GradientInfo.event_list. The time 0 is the first step that filled the trajectory. The "
+        "active tape records the call. The solver needs contact_gradient=\"motion\".\n\nAn event "
+        "in step k has the time t_k + d / |J v|, with the gap d, its derivative J by the "
+        "positions, and the joint rates v. The derivative of the time by the positions of state k "
+        "is J / |J v| (saltation matrix). The number and the order of events count as constants. "
+        "Without events the result is {0}.\n\nValueError: no tape is active, or the tape has no "
+        "steps of such a solver.\nNotImplementedError: the trajectory has checkpoints.");
 }
 
 }  // namespace novaphy::python

@@ -1,4 +1,4 @@
-// Solvers.
+// Bindings of SolverBase, SolverSemiImplicit, SleepConfig, eval_fk, eval_ik and eval_mimic.
 #include "doc_dynamics.h"
 #include "fast_step.h"
 #include "fields.h"
@@ -49,7 +49,7 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
   py::class_<SolverBase> base(solvers, "SolverBase", doc::kSolverBase);
   base.def_property_readonly(
           "model", [](const SolverBase& s) { return std::const_pointer_cast<Model>(s.model()); },
-          "The model. A solver reads its arrays and settings in every step.")
+          "The model. A solver reads the arrays and numbers of the model in every step.")
       .def("__repr__",
            [](const py::object& self) {
              const auto& solver = self.cast<const SolverBase&>();
@@ -67,8 +67,7 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
           [](SolverBase& s, int32_t flags) {
             s.notify_model_changed(static_cast<ModelFlags>(flags));
           },
-          "flags"_a,
-          "Tells the solver which parts (ModelFlags) changed outside of NovaPhy's arrays.");
+          "flags"_a, doc::kNotify);
   GeneralStep::function = py::object(base.attr("step")).release().ptr();
 
   bind_sleep(m);
@@ -107,26 +106,27 @@ void bind_dynamics(py::module_& m, py::module_& solvers) {
       .def_property_readonly(
           "friction_smoothing",
           [](const SolverSemiImplicit& s) { return s.options().friction_smoothing; },
-          "The slip below which friction is smooth (m/s), except \"viscous\", \"newton18\".")
+          "The slip below which friction is smooth (m/s). \"viscous\" and \"newton18\" do not use "
+          "it.")
       .def_property_readonly(
           "particle_kf_bound",
           [](const SolverSemiImplicit& s) { return s.options().particle_kf_bound; },
-          "The bound of kf dt/m for contacts of particles (1).")
+          "The largest allowed kf dt / m for contacts of particles (1).")
       .def_property_readonly(
           "stick_ke", [](const SolverSemiImplicit& s) { return s.options().stick_ke; },
           "The tangential stiffness of each rigid contact (N/m).")
       .def_property_readonly(
           "joint_attach_ke",
           [](const SolverSemiImplicit& s) { return s.options().joint_attach_ke; },
-          "The stiffness that holds joints together (N/m and N*m/rad).")
+          "The stiffness of the springs that hold joints together (N/m and N*m/rad).")
       .def_property_readonly(
           "joint_attach_kd",
           [](const SolverSemiImplicit& s) { return s.options().joint_attach_kd; },
-          "The damping that holds joints together (N*s/m).")
+          "The damping of the springs that hold joints together (N*s/m).")
       .def_property_readonly(
           "enable_tri_contact",
           [](const SolverSemiImplicit& s) { return s.options().enable_tri_contact; },
-          "Stored. Contacts of particles with triangles are not supported.");
+          "No effect, because contacts of particles with triangles are not supported.");
   bind_stable_dt(semi_implicit);
   add_fast_step(semi_implicit);
   m.def(

@@ -1,4 +1,4 @@
-// The Programs that are built ahead of time.
+// Binding of engine_programs: the Programs whose kernels are compiled at the build.
 #include <map>
 
 #include "nova_types.h"
@@ -19,8 +19,8 @@ void bind_engine_programs(py::module_& m) {
         return texts;
       },
       release_gil(),
-      "Returns a dict of the engine's kernels and adjoints that are compiled at the build. The key "
-      "is the hash, as in KernelInfo. The value is the text of the Program.");
+      "Returns a dict of the engine's kernels and adjoints that are compiled at the build: the "
+      "hash (KernelInfo.hash) -> the Program as text.");
 }
 
 }  // namespace novaphy::python

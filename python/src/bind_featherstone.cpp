@@ -1,4 +1,4 @@
-// Articulations: SolverFeatherstone and the functions of their dynamics.
+// Bindings of SolverFeatherstone and of the dynamics of articulations (eval_mass_matrix, ...).
 #include <pybind11/numpy.h>
 #include <pybind11/stl.h>
 
@@ -51,8 +51,9 @@ void bind_actuator_forces(py::module_& m) {
         return to_array(unlocked([&] { return eval_actuator_forces(model, state, control); }));
       },
       "model"_a, "state"_a, "control"_a = py::none(),
-      "Returns the forces of the actuators {actuators} at a state, before the gears. control: None "
-      "takes that of the model. ValueError: a state or control of another model.");
+      "Returns the force of each actuator {actuators} at a state, before the multiplication by "
+      "gear. control: None: the control of the model. ValueError: the state or the control belongs "
+      "to another model.");
 }
 
 void bind_functions(py::module_& m) {
@@ -70,8 +71,8 @@ void bind_functions(py::module_& m) {
         return to_array(unlocked([&] { return eval_bias(model, state); }));
       },
       "model"_a, "state"_a,
-      "Returns the bias forces of gravity and velocities {dofs} (N, N*m): eval_inverse_dynamics at "
-      "qdd = 0. Mimic joints count as free.");
+      "Returns the generalized bias forces {dofs} (N, N*m) of gravity and velocities, which are "
+      "eval_inverse_dynamics for qdd = 0. Mimic joints count as free joints.");
   m.def(
       "eval_forward_dynamics",
       [](const Model& model, const SimState& state, py::handle tau) {
@@ -79,8 +80,9 @@ void bind_functions(py::module_& m) {
         return to_array(unlocked([&] { return eval_forward_dynamics(model, state, t); }));
       },
       "model"_a, "state"_a, "tau"_a,
-      "Returns the joint accelerations {dofs} for the generalized forces tau {dofs} (N, N*m). "
-      "novaphy.Error, with the name of the dof: the mass matrix is singular.");
+      "Returns the joint accelerations {dofs} (m/s^2, rad/s^2) that the generalized forces tau "
+      "{dofs} (N, N*m) cause. novaphy.Error: the mass matrix is singular; the message names the "
+      "dof.");
   m.def(
       "eval_mass_matrix",
       [](const Model& model, const SimState& state, bool include_armature) {
@@ -93,9 +95,9 @@ void bind_functions(py::module_& m) {
         return to_array(unlocked([&] { return eval_jacobian(model, state); }));
       },
       "model"_a, "state"_a,
-      "Returns the Jacobians {articulations, 6 L, D}, padded with 0. The six rows of a joint are "
-      "the body_qd of its child per unit of the rates. L is the largest number of joints and D the "
-      "largest number of dofs of an articulation.");
+      "Returns the Jacobians {articulations, 6 L, D} of the bodies' velocities by the joint rates, "
+      "padded with 0. A joint has six rows: body_qd of its child (linear, angular). L is the "
+      "largest number of joints of an articulation, and D the largest number of dofs.");
   m.def(
       "eval_inverse_dynamics_derivatives",
       [](const Model& model, const SimState& state, py::handle qdd) {
@@ -104,10 +106,7 @@ void bind_functions(py::module_& m) {
         return py::make_tuple(to_array(std::move(d.dtau_dq)), to_array(std::move(d.dtau_dqd)),
                               to_array(std::move(d.mass_matrix)));
       },
-      "model"_a, "state"_a, "qdd"_a,
-      "Returns the analytic derivatives (dtau_dq, dtau_dqd, H) of eval_inverse_dynamics, "
-      "{articulations, D, D} each. The columns of q are tangents, one per dof. A BALL joint turns "
-      "by exp(e) on the left. A FREE joint moves its center of mass and turns about it.");
+      "model"_a, "state"_a, "qdd"_a, doc::kInverseDerivatives);
   m.def(
       "eval_forward_dynamics_derivatives",
       [](const Model& model, const SimState& state, py::handle tau) {
@@ -116,9 +115,7 @@ void bind_functions(py::module_& m) {
         return py::make_tuple(to_array(std::move(d.dqdd_dq)), to_array(std::move(d.dqdd_dqd)),
                               to_array(std::move(d.inverse_mass_matrix)));
       },
-      "model"_a, "state"_a, "tau"_a,
-      "Returns the analytic derivatives (dqdd_dq, dqdd_dqd, dqdd_dtau) of eval_forward_dynamics, "
-      "{articulations, D, D} each.");
+      "model"_a, "state"_a, "tau"_a, doc::kForwardDerivatives);
   m.def(
       "eval_center_of_mass",
       [](const Model& model, const SimState& state) {
@@ -132,8 +129,8 @@ void bind_functions(py::module_& m) {
         return to_rows(unlocked([&] { return eval_energy(model, state); }));
       },
       "model"_a, "state"_a,
-      "Returns the kinetic energy, without armature, and the potential energy of the articulations "
-      "{articulations, 2} (J).");
+      "Returns the kinetic and the potential energy of each articulation {articulations, 2} (J). "
+      "The kinetic energy leaves out the armature.");
 }
 
 std::unique_ptr<SolverFeatherstone> make_solver(
@@ -183,14 +180,14 @@ void bind_featherstone(py::module_& m, py::module_& solvers) {
            doc::kFeatherstoneInit)
       .def_property_readonly(
           "sleep", [](const SolverFeatherstone& s) { return s.options().sleep; },
-          "The SleepConfig of bodies on FREE joints; None: no body sleeps.")
+          "The SleepConfig for bodies on FREE joints; None: no body sleeps.")
       .def_property_readonly(
           "contact", [](const SolverFeatherstone& s) { return contact_name(s.options().contact); },
           "The contact law: \"pgs\", \"penalty\" or None.")
       .def_property_readonly(
           "joint_limits",
           [](const SolverFeatherstone& s) { return limits_name(s.options().joint_limits); },
-          "The law of joint limits: \"spring\" or \"row\".")
+          "The kind of joint limits: \"spring\" or \"row\" (impulses).")
       .def_property_readonly(
           "joint_limit_restitution",
           [](const SolverFeatherstone& s) { return s.options().joint_limit_restitution; },
@@ -204,7 +201,7 @@ void bind_featherstone(py::module_& m, py::module_& solvers) {
       .def("check_last_step", &SolverFeatherstone::check_last_step,
            py::call_guard<py::gil_scoped_release>(), doc::kCheckLastStep)
       .def_property_readonly("pgs_sweeps", &SolverFeatherstone::pgs_sweeps,
-                             "The largest number of sweeps of an island in the last step.")
+                             "The largest number of PGS sweeps of an island in the last step.")
       .def_property_readonly("pgs_residual", &SolverFeatherstone::pgs_residual,
                              "The largest velocity change in the final sweep of an island in the "
                              "last step (m/s).")
@@ -219,7 +216,7 @@ void bind_featherstone(py::module_& m, py::module_& solvers) {
       .def_property_readonly(
           "implicit_drives",
           [](const SolverFeatherstone& s) { return s.options().implicit_drives; },
-          "Whether drives are evaluated at the end of the step.");
+          "Whether drives, limits and damping are evaluated at the end of the step.");
   add_fast_step(solver);
   bind_control_sensitivity(solvers);
 }

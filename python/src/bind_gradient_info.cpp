@@ -56,12 +56,12 @@ const char* contact_gradient_name(diff::DerivativeOf of) {
 
 namespace {
 
-// The fields of all solvers.
+// The fields that GradientInfo has for every solver, with their docstrings.
 constexpr std::pair<const char*, const char*> kFields[] = {
     {"label",
      "The worst label of the steps: \"exact of the motion\", \"exact of the code\", \"implicit\", "
      "\"frozen\" or \"surrogate\"."},
-    {"reason", "One sentence on the cause of the label and its consequence, with step and pair."},
+    {"reason", "A sentence with the cause of the label and its consequence, with step and pair."},
     {"steps", "The number of steps."},
     {"exact_steps", "The number of steps that are exact of the code, or implicit."},
     {"frozen_steps",
@@ -73,42 +73,45 @@ constexpr std::pair<const char*, const char*> kFields[] = {
     {"ended", "The number of contacts that ceased to push from one step to the next."},
     {"turned", "The number of contacts that changed between sticking and slipping."},
     {"several",
-     "With contact_gradient=\"motion\": the number of steps in which several pairs hit at once. "
-     "With springs: the number of short touches of several contacts at once."},
+     "With contact_gradient=\"motion\": the number of steps in which several pairs begin a contact "
+     "at once. For penalty contacts: the number of short contacts that overlap in time."},
     {"one_sided",
-     "With contact_gradient=\"motion\" and springs: the number of short touches whose begin or end "
-     "is outside of the steps, or that a written state or another dt cuts."},
+     "With contact_gradient=\"motion\" and penalty contacts: the number of short contacts whose "
+     "begin "
+     "or end is unknown. Causes: the steps begin or end there, or a state or dt was changed."},
     {"ramp_steps",
-     "With contact_gradient=\"motion\" and springs: the number of steps with a contact within half "
-     "a step of its begin or end."},
+     "With contact_gradient=\"motion\" and penalty contacts: the number of steps in which a "
+     "contact is at most half a step from its begin or end."},
     {"landings",
      "With contact_gradient=\"motion\": the number of contacts of articulations that begin without "
      "a bounce."},
     {"phased",
-     "The number of landings whose friction turns. The states after such a landing depend on the "
-     "time in its step at which the contact begins."},
-    {"lost_events", "The number of events for which a device had no room; 0 on the CPU."},
+     "The number of landings in which the friction force changes direction. The states after such "
+     "a landing depend on the time within a step at which the contact begins."},
+    {"lost_events", "The number of events that a device could not store; 0 on the CPU."},
     {"least_approach",
-     "The least approach of the events in event_list (m/s, rad/s); inf without an event."},
+     "The smallest approach speed of the events in event_list (m/s, rad/s); inf without an event."},
     {"least_separation",
-     "The fewest steps between two events of one articulation or body; inf without two events."},
+     "The smallest number of steps between two events of the same articulation or body; inf "
+     "without two events."},
     {"steps_per_contact",
-     "The steps of a touch of the stiffest contact that pushed in DiffSemiImplicitSolver, "
-     "pi / (dt sqrt(stiffness / mass)). inf without such a contact, on a device, and with "
+     "For how many steps the stiffest contact of DiffSemiImplicitSolver pushes: "
+     "pi / (dt sqrt(stiffness / mass)). inf without a pushing contact, on a device, and with "
      "checkpoints or enable_static_contacts."},
     {"event_list",
-     "With contact_gradient=\"motion\": a dict for each contact or limit that begins, in the order "
-     "of time. The events are those of the last chain of steps, or of a tape. docs/conventions.md "
-     "lists the keys."},
+     "With contact_gradient=\"motion\": a dict for each contact or joint limit that begins, in the "
+     "order of time, in the last consecutive steps or on a tape. docs/conventions.md lists the "
+     "keys."},
     {"residual", "The largest residual of the contact law, relative to the largest impulse (1)."},
     {"h_drift",
-     "With contact_gradient=\"motion\" of articulations: the largest change, in steps without "
-     "events, of the adjoint times the rates, relative to its largest value (1). None without a "
-     "backward. docs/conventions.md has the law."},
-    {"h_step", "The index of the step of h_drift; None without h_drift."},
+     "With contact_gradient=\"motion\" of articulations, after backward: a check of the gradient. "
+     "H is the gradient by the state times the rate of the state, which steps without events keep. "
+     "The drift is the largest change of H in such a step, relative to the largest |H| (1). None: "
+     "backward has not run. docs/conventions.md has the law."},
+    {"h_step", "The index of the step with h_drift; None without h_drift."},
     {"h_skipped",
-     "The number of steps that h_drift leaves out: before a written state, not converged, or "
-     "before another dt."}};
+     "The number of steps that h_drift leaves out: steps that have not converged, and steps before "
+     "a change of the state or of dt."}};
 
 constexpr const char* kDoc = doc::kGradientInfo;
 

@@ -1,4 +1,4 @@
-// Meshes from files, as pairs of NumPy arrays.
+// Bindings of the mesh readers. A mesh is a pair of NumPy arrays (vertices, indices).
 #include <pybind11/stl/filesystem.h>
 
 #include <cstring>
@@ -12,7 +12,7 @@
 namespace novaphy::python {
 namespace {
 
-// {n, columns}
+// Returns values as a NumPy array {n, columns}.
 template <class T>
 py::object to_array(const std::vector<T>& values, Scalar scalar, size_t columns) {
   const size_t rows = values.size() * (sizeof(T) / 4) / columns;

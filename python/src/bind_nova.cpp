@@ -1,4 +1,4 @@
-// Tensors: their creation, and functions of them.
+// Bindings of the creation of tensors, and of functions of tensors.
 #include <cmath>
 #include <limits>
 
@@ -126,16 +126,14 @@ Tensor arange(int64_t start, std::optional<int64_t> stop, int64_t step, py::hand
 void bind_creation(py::module_& m) {
   const py::object f32 = dtype_object(DType::float32);
   m.def("tensor", &make_tensor, "data"_a, "dtype"_a = py::none(), "device"_a = py::none(),
-        "requires_grad"_a = false,
-        "Makes a tensor from a copy of numbers, lists or arrays. Numbers of more bits are rounded "
-        "to float32. TypeError: a float64 array with requires_grad=True.")
+        "requires_grad"_a = false, doc::kMakeTensor)
       .def(
           "from_numpy",
           [](py::handle a, py::handle device, bool requires_grad) {
             return make_tensor(a, py::none(), device, requires_grad);
           },
           "a"_a, "device"_a = py::none(), "requires_grad"_a = false,
-          "Makes a tensor from a copy of a NumPy array. from_dlpack shares the memory instead.")
+          "Makes a tensor from a copy of a NumPy array. To share the memory, use from_dlpack.")
       .def(
           "from_dlpack",
           [](py::handle obj, bool copy) {
@@ -149,9 +147,7 @@ void bind_creation(py::module_& m) {
       .def(
           "from_device_array",
           [](const Array& a, bool requires_grad) { return Tensor::view(a, requires_grad); },
-          "array"_a, "requires_grad"_a = false,
-          "Wraps a DeviceArray without a copy. vec3 rows give {n, 3}. The same array gives the "
-          "same tensor.")
+          "array"_a, "requires_grad"_a = false, doc::kFromDeviceArray)
       .def(
           "external",
           [](uintptr_t ptr, py::handle shape, py::handle dtype, py::handle device,
@@ -162,8 +158,7 @@ void bind_creation(py::module_& m) {
             if (t.size() != 0) t.range()->mark_writable_export();
             return t;
           },
-          "ptr"_a, "shape"_a, "dtype"_a, "device"_a, "owner"_a,
-          "Wraps memory at an address. The tensor keeps `owner` alive.")
+          "ptr"_a, "shape"_a, "dtype"_a, "device"_a, "owner"_a, doc::kExternal)
       .def(
           "zeros",
           [](py::handle shape, py::handle dtype, py::handle device, bool grad) {
@@ -177,7 +172,7 @@ void bind_creation(py::module_& m) {
             return filled(shape, 0.0, dtype, device, grad);
           },
           "shape"_a, "dtype"_a = f32, "device"_a = py::none(), "requires_grad"_a = false,
-          "Returns a tensor of zeros: memory is always cleared.")
+          "Returns a tensor of zeros, because memory is always cleared.")
       .def(
           "ones",
           [](py::handle shape, py::handle dtype, py::handle device, bool grad) {
@@ -187,14 +182,15 @@ void bind_creation(py::module_& m) {
           "Returns a tensor of ones.")
       .def("full", &filled, "shape"_a, "value"_a, "dtype"_a = f32, "device"_a = py::none(),
            "requires_grad"_a = false,
-           "Returns a tensor filled with one value, rounded to float32. ValueError: an integer "
-           "dtype that cannot hold the value.")
+           "Returns a tensor filled with one value, rounded to float32. ValueError: dtype is an "
+           "integer type that cannot hold the value.")
       .def(
           "zeros_like", [](const Tensor& t) { return Tensor(t.shape(), t.dtype(), t.device()); },
           "tensor"_a, "Returns zeros with the shape, dtype and device of a tensor.")
       .def("arange", &arange, "start"_a, "stop"_a = py::none(), "step"_a = 1,
            "dtype"_a = dtype_object(DType::int32), "device"_a = py::none(),
-           "Returns the integers from start (0 if stop is None) to before stop or start.");
+           "Returns the integers from start to before stop, with a step, as in NumPy. arange(n) "
+           "gives 0 to n - 1.");
 }
 
 #define NOVAPHY_BINARY(name, doc)                                                             \
@@ -205,7 +201,7 @@ void bind_creation(py::module_& m) {
   m.def(                         \
       #name, [](const Tensor& x) { return nova::name(x); }, "x"_a, release_gil(), doc);
 
-// Reads a number. A tensor is refused, because its gradient would be lost.
+// Reads a number. TypeError: a Tensor, because its gradient would be lost.
 float to_number(py::handle value, const char* name) {
   require(!py::isinstance<nova::TensorImpl>(value), ErrorKind::Type, name,
           ": expected a number, got a Tensor");
@@ -217,8 +213,8 @@ void bind_functions(py::module_& m) {
   NOVAPHY_BINARY(sub, "Returns a - b, broadcast as in NumPy.")
   NOVAPHY_BINARY(mul, "Returns a * b, broadcast as in NumPy.")
   NOVAPHY_BINARY(div, "Returns a / b, broadcast as in NumPy.")
-  NOVAPHY_BINARY(minimum, "Returns the smaller. The gradient goes to a where a < b, else to b.")
-  NOVAPHY_BINARY(maximum, "Returns the larger. The gradient goes to a where a > b, else to b.")
+  NOVAPHY_BINARY(minimum, doc::kMinimum)
+  NOVAPHY_BINARY(maximum, doc::kMaximum)
   m.def(
       "min", [](const Tensor& a, const Tensor& b) { return nova::minimum(a, b); }, "a"_a, "b"_a,
       release_gil());
@@ -245,11 +241,10 @@ void bind_functions(py::module_& m) {
   NOVAPHY_UNARY(sin, "Returns the sine of x (rad).")
   NOVAPHY_UNARY(cos, "Returns the cosine of x (rad).")
   NOVAPHY_UNARY(tanh, "Returns the hyperbolic tangent.")
-  NOVAPHY_UNARY(acos,
-                "Returns the arc cosine (rad) of x limited to [-1, 1]. No gradient at the limits.")
+  NOVAPHY_UNARY(acos, doc::kAcos)
   m.def(
       "atan2", [](const Tensor& y, const Tensor& x) { return nova::atan2(y, x); }, "y"_a, "x"_a,
-      release_gil(), "Returns the angle (rad) of (x, y), broadcast. No gradient at the origin.");
+      release_gil(), doc::kAtan2);
   m.def(
       "clamp",
       [](const Tensor& x, py::handle lower, py::handle upper) {
@@ -258,9 +253,8 @@ void bind_functions(py::module_& m) {
         return nova::clamp(x, limits[0], limits[1]);
       },
       "x"_a, "lower"_a, "upper"_a,
-      "Limits x to [lower, upper]. The gradient is 1 inside and at the bounds, 0 outside.");
-  NOVAPHY_BINARY(pow,
-                 "Returns a to the power of b, broadcast as in NumPy. The exponent 2 gives a * a.")
+      "Returns x clamped to [lower, upper]. The gradient is 1 inside and at the bounds, else 0.");
+  NOVAPHY_BINARY(pow, doc::kPow)
   m.def(
       "pow", [](const Tensor& a, float b) { return nova::pow(a, b); }, "a"_a, "b"_a, release_gil());
   m.def(
@@ -278,23 +272,19 @@ void bind_functions(py::module_& m) {
   NOVAPHY_UNARY(sum_rows, "Returns the sum {1, w} of the rows of a tensor {n, w}.")
   m.def(
       "dot", [](const Tensor& a, const Tensor& b) { return nova::dot(a, b); }, "a"_a, "b"_a,
-      release_gil(), "Returns the sum of a * b {1}.");
+      release_gil(), "Returns the sum {1} of all values of a * b.");
 }
 
 void bind_shapes(py::module_& m) {
   m.def("sum", &reduced<Reduction::Sum>, "x"_a, "axis"_a = py::none(), "keepdims"_a = false,
-        release_gil(),
-        "Returns the sum of all values {1}, or over one dimension, in a fixed order.")
+        release_gil(), doc::kSum)
       .def("mean", &reduced<Reduction::Mean>, "x"_a, "axis"_a = py::none(), "keepdims"_a = false,
-           release_gil(), "Returns the mean of all values {1}, or over one dimension.")
+           release_gil(),
+           "Returns the mean {1} of all values, or the means along the dimension `axis`.")
       .def("max", &reduced<Reduction::Max>, "x"_a, "axis"_a = py::none(), "keepdims"_a = false,
-           release_gil(),
-           "Returns the largest of all values {1}, or over one dimension. One of equal values gets "
-           "the gradient. For two tensors use maximum.")
+           release_gil(), doc::kMax)
       .def("min", &reduced<Reduction::Min>, "x"_a, "axis"_a = py::none(), "keepdims"_a = false,
-           release_gil(),
-           "Returns the smallest of all values {1}, or over one dimension. One of equal values "
-           "gets the gradient. For two tensors use minimum.")
+           release_gil(), doc::kMin)
       .def(
           "broadcast_to",
           [](const Tensor& x, py::handle shape) { return nova::broadcast_to(x, to_shape(shape)); },
@@ -306,38 +296,41 @@ void bind_shapes(py::module_& m) {
           "concat",
           [](const std::vector<Tensor>& parts, int64_t axis) { return nova::concat(parts, axis); },
           "parts"_a, "axis"_a = 0, release_gil(),
-          "Joins tensors along a dimension. Their other dimensions are equal.")
+          "Returns tensors joined along the dimension `axis`. All other dimensions must be equal.")
       .def(
           "stack",
           [](const std::vector<Tensor>& parts, int64_t axis) { return nova::stack(parts, axis); },
           "parts"_a, "axis"_a = 0, release_gil(),
-          "Stacks tensors of one shape along a new dimension, number `axis` of the result.")
+          "Returns tensors of equal shape stacked along a new dimension, which has the number "
+          "`axis` in the result.")
       .def(
           "transpose",
           [](const Tensor& x, const std::optional<std::vector<int64_t>>& axes) {
             return nova::transpose(x, axes ? *axes : std::vector<int64_t>());
           },
           "x"_a, "axes"_a = py::none(), release_gil(),
-          "Returns a copy whose dimension k is axes[k] of x. None reverses them.");
+          "Returns a copy of x whose dimension k is the dimension axes[k] of x. None: the order of "
+          "dimensions is reversed.");
   NOVAPHY_BINARY(matmul,
                  "Returns the matrix product of {n, k} or {k} and {k, m} or {k}. Each value is "
                  "summed in ascending k.")
   NOVAPHY_BINARY(cross, "Returns a x b of vectors {..., 3}, broadcast in the other dimensions.")
   NOVAPHY_BINARY(quat_mul,
-                 "Returns the Hamilton product a b of quaternions {..., 4}, (x, y, z, w): the "
-                 "rotation b, then a.")
+                 "Returns the Hamilton product a b of quaternions {..., 4}, (x, y, z, w). The "
+                 "product is the rotation b followed by the rotation a.")
   m.def(
        "quat_rotate", [](const Tensor& q, const Tensor& v) { return nova::quat_rotate(q, v); },
        "q"_a, "v"_a, release_gil(),
-       "Returns the vectors v {..., 3} rotated by unit quaternions q {..., 4}, (x, y, z, w). q * "
-       "nova.tensor([-1, -1, -1, 1]) gives the inverse rotation.")
+       "Returns the vectors v {..., 3} rotated by unit quaternions q {..., 4}, (x, y, z, w). For "
+       "the inverse rotation pass q * nova.tensor([-1, -1, -1, 1]).")
       .def(
           "quat_exp", [](const Tensor& r) { return nova::quat_exp(r); }, "r"_a, release_gil(),
           "Returns the unit quaternions {..., 4} of rotation vectors {..., 3} (rad).")
       .def(
           "quat_log", [](const Tensor& q) { return nova::quat_log(q); }, "q"_a, release_gil(),
-          "Returns the rotation vectors {..., 3} (rad) of quaternions {..., 4}. Their length is at "
-          "most pi, and q and -q give the same vector. The gradient jumps at half a turn.");
+          "Returns the rotation vectors {..., 3} (rad) of quaternions {..., 4}. A rotation vector "
+          "has a length of at most pi, and q and -q give the same vector. The gradient jumps at "
+          "the angle pi.");
 }
 
 }  // namespace

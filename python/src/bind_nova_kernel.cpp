@@ -1,4 +1,4 @@
-// Kernels from traced Python functions.
+// Bindings of kernels that are made from traced Python functions.
 #include "doc_nova_kernel.h"
 #include "nova_types.h"
 #include "novaphy/nova/kernel.h"
@@ -12,8 +12,8 @@ using nova::TraceContext;
 
 namespace {
 
-// A reference to the TraceContext while the traced function runs. A Python function may keep its
-// argument for longer.
+// The TraceContext as a Python object. The pointer is set to null when the traced function returns,
+// because a Python function may keep its argument for longer than the C++ object lives.
 struct PyContext {
   TraceContext* context;
   TraceContext& get() const {
@@ -34,7 +34,7 @@ py::object trace(const py::object& fn, TraceContext& c, More&&... more) {
   return fn(py::cast(shared), std::forward<More>(more)...);
 }
 
-// "particle_q" or 0
+// Returns the number of a source, given by its name ("particle_q") or by its number.
 size_t source_number(const TraceContext& c, py::handle source) {
   if (PyUnicode_Check(source.ptr())) return c.source(source.cast<std::string>());
   const int32_t number = to_int32(source, "source");
@@ -45,51 +45,52 @@ size_t source_number(const TraceContext& c, py::handle source) {
 void bind_context(py::module_& m) {
   py::class_<PyContext, std::shared_ptr<PyContext>>(
       m, "TraceContext",
-      "The argument of a traced function. A source is given by its name or index. Without a row, "
-      "a method reads the source at the row that the declared access gives.")
+      "The argument of a traced function, through which the function reads its sources. A source "
+      "is given by its name or index. A method without the argument `row` reads the row that the "
+      "declared access gives, for example row i for \"direct\".")
       .def(
           "index", [](const PyContext& c) { return c.get().index(); }, "Returns the output row i.")
       .def(
           "reduce_index", [](const PyContext& c) { return c.get().reduce_index(); },
-          "Returns the position r in the sum. Only the body of a sum has one.")
+          "Returns the index r of the term of a sum. Only for the body of a sum.")
       .def(
           "slot", [](const PyContext& c) { return c.get().slot(); },
-          "Returns the slot of a CSR row. Only the body of a CSR sum has one.")
+          "Returns the slot (entry of the index table) of the term. Only for the body of a sum "
+          "over \"csr_row\" sources.")
       .def(
           "f32",
           [](const PyContext& c, py::handle source, int32_t column) {
             return c.get().f32(source_number(c.get(), source), column);
           },
           "source"_a, "column"_a = 0,
-          "Returns a float column, at the row that the declared access of the source gives.")
+          "Returns the value of a float column, at the row that the declared access gives.")
       .def(
           "f32",
           [](const PyContext& c, py::handle source, const Int& row, int32_t column) {
             return c.get().f32(source_number(c.get(), source), row, column);
           },
           "source"_a, "row"_a, "column"_a,
-          "Returns a float column at a row. The declared access of the source must allow the row.")
+          "Returns the value of a float column at a row, which the declared access must allow.")
       .def(
           "i32",
           [](const PyContext& c, py::handle source, int32_t column) {
             return c.get().i32(source_number(c.get(), source), column);
           },
           "source"_a, "column"_a = 0,
-          "Returns an integer column, at the row that the declared access of the source gives.")
+          "Returns the value of an integer column, at the row that the declared access gives.")
       .def(
           "i32",
           [](const PyContext& c, py::handle source, const Int& row, int32_t column) {
             return c.get().i32(source_number(c.get(), source), row, column);
           },
           "source"_a, "row"_a, "column"_a,
-          "Returns an integer column at a row. The declared access of the source must allow the "
-          "row.")
+          "Returns the value of an integer column at a row, which the declared access must allow.")
       .def(
           "param", [](const PyContext& c, int32_t k) { return c.get().param(k); }, "k"_a,
-          "Returns launch parameter k as a float.")
+          "Returns the launch parameter number k as a float.")
       .def(
           "param_i32", [](const PyContext& c, int32_t k) { return c.get().param_i32(k); }, "k"_a,
-          "Returns launch parameter k as an int.");
+          "Returns the launch parameter number k as an int.");
 }
 
 std::vector<Real> reals(const py::object& result, const char* what) {
@@ -124,7 +125,7 @@ nova::Access to_access(py::handle value) {
        text, "\"");
 }
 
-// Reads the sources of a kernel. Each is a tuple (name, dtype, width=1, access="direct").
+// Reads the sources of a kernel: tuples (name, dtype, width=1, access="direct").
 std::vector<nova::SourceSpec> to_sources(const py::sequence& sources) {
   std::vector<nova::SourceSpec> specs;
   for (const py::handle item : sources) {
@@ -143,7 +144,7 @@ std::vector<nova::SourceSpec> to_sources(const py::sequence& sources) {
   return specs;
 }
 
-// Reads the outputs: a number of columns of the output "out", or (name, width) each.
+// Reads the outputs: the number of columns of a single output "out", or a list of (name, width).
 std::vector<nova::OutputSpec> to_outputs(py::handle outputs) {
   if (PyIndex_Check(outputs.ptr())) return {{"out", to_int32(outputs, "outputs")}};
   std::vector<nova::OutputSpec> specs;
@@ -158,7 +159,7 @@ std::vector<nova::OutputSpec> to_outputs(py::handle outputs) {
 
 struct PyKernel {
   nova::Kernel kernel;
-  std::vector<bool> param_is_int;  // by parameter: the function reads an int
+  std::vector<bool> param_is_int;  // for each launch parameter: whether the function reads an int
 };
 
 PyKernel finish(nova::Kernel kernel) {
@@ -226,13 +227,13 @@ py::object items_to_numpy(const std::shared_ptr<Range>& range) {
 void bind_nova_kernel(py::module_& m) {
   bind_context(m);
 
-  py::class_<nova::IncidenceData, std::shared_ptr<nova::IncidenceData>>(
-      m, "Incidence", "The inverse of an index table: the slots that hold each row, ascending.")
+  py::class_<nova::IncidenceData, std::shared_ptr<nova::IncidenceData>>(m, "Incidence",
+                                                                        doc::kIncidence)
       .def_property_readonly(
           "rows", [](const nova::IncidenceData& i) { return i.rows; }, "The number of rows.")
       .def_property_readonly(
           "offsets", [](const nova::IncidenceData& i) { return items_to_numpy(i.offsets); },
-          "The index of the first item of each row, and of the end: int32 {rows + 1}.")
+          "int32 {rows + 1}: the slots of row i are items[offsets[i] : offsets[i + 1]].")
       .def_property_readonly(
           "items", [](const nova::IncidenceData& i) { return items_to_numpy(i.items); },
           "The slots of all rows, row by row: int32 {slots}.")
@@ -247,37 +248,38 @@ void bind_nova_kernel(py::module_& m) {
         return nova::make_incidence(table.flat_operand(), rows);
       },
       "table"_a, "rows"_a, release_gil(),
-      "Inverts an int32 table of row indices. Negative entries belong to no row. IndexError: an "
-      "entry >= rows.");
+      "Returns the Incidence of an int32 table of row indices. Negative entries are ignored. "
+      "IndexError: an entry is >= rows.");
 
   py::class_<PyKernel>(m, "IndexedKernel",
-                       "A kernel with generated adjoints. Call it with tensors.")
+                       "A kernel that a Python function was traced to, with generated adjoints. "
+                       "Call the object to run the kernel on tensors.")
       .def("__call__", &call, "dim"_a, "inputs"_a, "params"_a = py::tuple(),
            "extent"_a = py::none(), "csr"_a = py::none(), "active"_a = py::none(), doc::kLaunch)
       .def_property_readonly(
           "name", [](const PyKernel& k) { return k.kernel.name(); }, "The name of the kernel.")
       .def_property_readonly(
           "hash", [](const PyKernel& k) { return k.kernel.hash(); },
-          "The hash of the computation (64 bits), equal for equal computations.")
+          "A 64-bit hash of the computation. Kernels with equal computations have equal hashes.")
       .def(
           "source",
           [](const PyKernel& k, const std::string& form) { return k.kernel.source(form); },
           "form"_a = "c",
-          "Returns the kernel as text. \"c\": the C code that a compiler gets (engine kernels) or "
-          "would get. \"program\": the Program. ValueError: another form.")
+          "Returns the kernel as text. form: \"c\": the generated C code. \"program\": the "
+          "Program. ValueError: another form.")
       .def("__repr__",
            [](const PyKernel& k) { return "IndexedKernel('" + k.kernel.name() + "')"; });
-  py::class_<nova::KernelInfo>(m, "KernelInfo", "The way in which a Program runs on a device.")
+  py::class_<nova::KernelInfo>(m, "KernelInfo", "How a Program (kernel) runs on a device.")
       .def_readonly("name", &nova::KernelInfo::name,
                     "The name of the kernel; adjoints end in \".adjoint\" or \".adjoint_items\".")
       .def_readonly("hash", &nova::KernelInfo::hash, "The hash of the Program.")
       .def_property_readonly(
           "device", [](const nova::KernelInfo& i) { return i.device.str(); },
-          "The device: \"cpu\", ...")
+          "The name of the device, such as \"cpu\".")
       .def_readonly("how", &nova::KernelInfo::how,
-                    "The way to run: \"native\", \"interpreter\", or \"unknown\" if the backend "
-                    "does not report it.")
-      .def_readonly("isa", &nova::KernelInfo::isa, "The instruction set: \"avx2\", ...")
+                    "\"native\" (compiled), \"interpreter\", or \"unknown\" if the backend does "
+                    "not report it.")
+      .def_readonly("isa", &nova::KernelInfo::isa, "The instruction set, such as \"avx2\".")
       .def_readonly("lanes", &nova::KernelInfo::lanes, "The number of rows per SIMD vector.")
       .def("__repr__", [](const nova::KernelInfo& i) {
         return "KernelInfo(name='" + i.name + "', device='" + i.device.str() + "', how='" + i.how +
@@ -285,16 +287,12 @@ void bind_nova_kernel(py::module_& m) {
       });
   m.def(
       "kernel_info", [] { return nova::kernel_info(); },
-      "Returns a list of KernelInfo: one for each kernel and adjoint that was prepared for a "
-      "device, in this order.");
+      "Returns a list with a KernelInfo for each kernel and adjoint that was prepared for a "
+      "device, in the order of preparation.");
   m.def("make_indexed_kernel", &make_indexed, "name"_a, "sources"_a, "outputs"_a, "fn"_a,
         doc::kMap);
   m.def("make_reduce_kernel", &make_reduce, "name"_a, "sources"_a, "outputs"_a, "body"_a,
-        py::kw_only(), "init"_a = py::none(), "epilogue"_a = py::none(),
-        "Makes a kernel out[i] = epilogue(i, ordered sum of body(i, r) from init(i)). body(c) "
-        "returns the terms, init(c) the initial values (None: 0), epilogue(c, sums) the outputs "
-        "(None: the sums). A source may also have the access \"reduced\" (row r of `extent`) or "
-        "\"csr_row\" (the slots of row i of an Incidence).");
+        py::kw_only(), "init"_a = py::none(), "epilogue"_a = py::none(), doc::kReduce);
 }
 
 }  // namespace novaphy::python

@@ -1,4 +1,4 @@
-// Activations, layers, and random numbers without a state.
+// Bindings of activations, linear layers, and counter-based random numbers.
 #include "doc_nova_networks.h"
 #include "nova_types.h"
 #include "novaphy/math/activations.h"
@@ -86,7 +86,7 @@ void bind_nova_networks(py::module_& m) {
   m.def(
       "relu", [](const Real& x) { return novaphy::math::relu(x); }, "x"_a);
   m.def("softplus", &nova::softplus, "x"_a, release_gil(),
-        "Returns log(1 + e^x), without overflow. The derivative is 1 / (1 + e^-x).");
+        "Returns log(1 + e^x), computed without overflow. The derivative is 1 / (1 + e^-x).");
   m.def(
       "softplus", [](const Real& x) { return novaphy::math::softplus(x); }, "x"_a);
   m.def(
@@ -95,15 +95,16 @@ void bind_nova_networks(py::module_& m) {
         return nova::linear(x, weight, bias.value_or(Tensor()));
       },
       "x"_a, "weight"_a, "bias"_a = py::none(), release_gil(),
-      "Returns x weight^T + bias {n, m} or {m}, for x {n, k} or {k}, weight {m, k} and bias {m}. "
-      "Sums have the order of matmul.");
+      "Returns x weight^T + bias, {n, m} or {m}, for x {n, k} or {k}, weight {m, k} and bias {m} "
+      "(None: no bias). Sums are added in the order of matmul.");
   bind_draw(m, "random_uniform", &nova::random_uniform, doc::kUniform);
   bind_draw(m, "random_normal", &nova::random_normal,
-            "Returns normal numbers {worlds, width} with mean 0 and variance 1: the Box-Muller "
-            "transform of the bits of random_uniform. No gradient.");
+            "Returns normal random numbers {worlds, width} with mean 0 and variance 1, by the "
+            "Box-Muller transform of Philox numbers. For the arguments see random_uniform. No "
+            "gradient.");
   m.def("philox4x32", &nova::philox4x32, "counter"_a, "key"_a,
-        "Returns the four words of Philox4x32-10 for a counter of four words and a key of two "
-        "words.");
+        "Returns the four 32-bit words of the generator Philox4x32-10 for a counter of four words "
+        "and a key of two words (Salmon et al. 2011).");
 }
 
 }  // namespace novaphy::python

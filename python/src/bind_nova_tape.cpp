@@ -1,4 +1,4 @@
-// Tape, no_grad, capture, gradient checks.
+// Bindings of Tape, no_grad, captures (Graph, ScopedCapture) and gradcheck.
 #include "doc_nova_tape.h"
 #include "gradient_info.h"
 #include "nova_types.h"
@@ -93,7 +93,7 @@ py::list vector_of(const Vec3f& v) {
   for (const float x : {v.x, v.y, v.z}) numbers.append(x);
   return numbers;
 }
-// The steps from the first on, as dicts of lists.
+// Returns the AdjointRecord in Python: dicts of the steps, from the first step to the last.
 py::object record_of(nova::Tape& tape, const std::optional<std::vector<Tensor>>& inputs) {
   const std::shared_ptr<const AdjointRecord> record = [&] {
     const py::gil_scoped_release release;
@@ -143,12 +143,12 @@ void bind_tape(py::module_& m) {
             return tape.carries_gradient(*tensor.range());
           },
           "tensor"_a,
-          "Returns whether a gradient flows through the tensor's value on this tape: the tensor is "
-          "a leaf, or the result of a recorded operation. backward() takes such a result.")
+          "Returns whether this tape knows a derivative of the tensor: the tensor is a leaf, or "
+          "the result of a recorded operation. A loss for backward() must be such a result.")
       .def("gradient_info", &tape_info, kTapeInfo)
       .def("zero", &nova::Tape::zero, release_gil(),
-           "Sets all gradients that the tape has written to zero.")
-      .def("reset", &nova::Tape::reset, "Forgets all operations.")
+           "Sets all gradients to zero that this tape has written.")
+      .def("reset", &nova::Tape::reset, "Removes all recorded operations.")
       .def_property_readonly("size", &nova::Tape::size, "The number of recorded operations.")
       .def("__len__", &nova::Tape::size)
       .def("__repr__",
@@ -161,13 +161,13 @@ void bind_tape(py::module_& m) {
       .def("op_names", &nova::Tape::op_names,
            "Returns the names of the recorded operations, in order.")
       .def_property_readonly("memory_bytes", &nova::Tape::memory_bytes,
-                             "The memory of the records, without the tensors (bytes).")
+                             "The memory of the recorded operations, without tensors (bytes).")
       .def("record_custom", &record_custom, "name"_a, "inputs"_a, "outputs"_a, "backward"_a,
            "forward"_a = py::none(), doc::kRecordCustom);
 
   m.def("active_tape", &nova::Tape::active, py::return_value_policy::reference, doc::kActiveTape);
   py::class_<NoGradContext>(
-      m, "no_grad", "A context manager in which no tape records the operations of this thread.")
+      m, "no_grad", "A context manager. Inside of it no tape records operations of this thread.")
       .def(py::init<>())
       .def("__enter__", &NoGradContext::enter)
       .def("__exit__", [](NoGradContext& c, const py::args&) { c.exit(); });
@@ -183,15 +183,16 @@ void bind_capture(py::module_& m) {
       m, "Graph", "A recorded list of operations on fixed memory, which launch() runs.")
       .def("launch", &nova::OpList::launch, release_gil(), doc::kGraphLaunch)
       .def("prepare", &nova::OpList::prepare, release_gil(),
-           "Plans and compiles the graph, so that the first launch is fast. Runs no operation. Use "
-           "it before measurements. novaphy.Error: inside a ScopedCapture.")
+           "Plans and compiles the graph without running it, so that the first launch is fast. "
+           "Call prepare before measurements of time. novaphy.Error: inside of a ScopedCapture.")
       .def("__len__", &nova::OpList::size)
       .def("__repr__", &graph_text)
       .def_property_readonly("size", &nova::OpList::size, "The number of operations.");
   py::class_<CaptureContext>(
       m, "ScopedCapture",
-      "A context manager that records launches, copies and fills of this thread instead of running "
-      "them. novaphy.Error: a host read, or another operation that cannot be recorded.")
+      "A context manager that records the launches, copies and fills of this thread into a Graph, "
+      "without running them. Raises novaphy.Error if the host reads values, or an operation cannot "
+      "be recorded.")
       .def(py::init<>())
       .def("__enter__",
            [](py::object self) {
@@ -214,22 +215,23 @@ void bind_capture(py::module_& m) {
 void bind_gradcheck(py::module_& m) {
   const nova::GradcheckOptions d;
   py::class_<nova::GradcheckResult>(m, "GradcheckResult",
-                                    "The result of gradcheck, which is true if all values agree.")
+                                    "The result of gradcheck. bool() is True if all values agree.")
       .def_readonly("ok", &nova::GradcheckResult::ok, "Whether all values agree.")
       .def_readonly("max_abs_error", &nova::GradcheckResult::max_abs_error,
                     "The largest difference between the gradient and the difference quotient.")
-      .def_readonly(
-          "max_rel_error", &nova::GradcheckResult::max_rel_error,
-          "The largest difference between the gradient and the difference quotient of an input, "
-          "divided by the largest difference quotient of that input.")
+      .def_readonly("max_rel_error", &nova::GradcheckResult::max_rel_error,
+                    "The largest difference between gradient and difference quotient of an input, "
+                    "relative to "
+                    "the largest difference quotient of the input.")
       .def_readonly("worst", &nova::GradcheckResult::worst,
-                    "The place of the largest difference: \"input 1, value 4: ad 0.5, fd 0.4\".")
+                    "A text about the largest difference, such as \"input 1, value 4: ad 0.5, fd "
+                    "0.4\" (ad: gradient, fd: difference quotient).")
       .def_readonly("has_tangent", &nova::GradcheckResult::has_tangent,
                     "Whether every operation has a tangent, so that the dot product was compared.")
       .def_readonly(
           "dot_product_error", &nova::GradcheckResult::dot_product_error,
-          "The derivative in one random direction u, computed as J u (Tape.jvp) and as <u, "
-          "gradient>: the difference of both, relative to the sum of |u_i gradient_i|.")
+          "The difference between two derivatives along one random direction u: J u (Tape.jvp) and "
+          "the dot product of u and the gradient. Relative to the sum of |u_i gradient_i|.")
       .def("__bool__", [](const nova::GradcheckResult& r) { return r.ok; })
       .def("__repr__", [](const nova::GradcheckResult& r) {
         return std::string("GradcheckResult(ok=") + (r.ok ? "True" : "False") +

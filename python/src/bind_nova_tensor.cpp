@@ -1,4 +1,4 @@
-// nova.Tensor.
+// Bindings of nova.Tensor.
 #include "doc_nova_tensor.h"
 #include "nova_types.h"
 #include "novaphy/nova/ops.h"
@@ -20,7 +20,7 @@ void assign_tensor(const Tensor& self, py::handle source) {
   assign_host_values(view_of(self), source, "assign");
 }
 
-// One size may be -1: the remaining size.
+// Returns the same memory in another shape. One size may be -1, which means the remaining size.
 Tensor reshape(const Tensor& self, const py::args& args) {
   py::object sizes = args.size() == 1 && PySequence_Check(py::object(args[0]).ptr())
                          ? py::object(args[0])
@@ -69,8 +69,8 @@ bool truth(const Tensor& t) {
   return py::bool_(item(t));
 }
 
-// Pickles the values, which get their own memory after unpickling. A recorded result is refused:
-// the copy would look as if it carried the gradient.
+// Pickles the values. After unpickling they have separate memory. ErrorKind::Runtime: the tensor is
+// a recorded result, whose copy would seem to have the gradient.
 py::tuple keep(const Tensor& t) {
   require(t.is_leaf(), ErrorKind::Runtime,
           "pickle, copy: the tensor is the result of a recorded operation; take t.detach()");
@@ -116,16 +116,18 @@ void bind_properties(TensorClass& c) {
       .def_property_readonly("is_external", method<&Tensor::is_external>,
                              "Whether the memory belongs to another object.")
       .def_property_readonly("is_leaf", method<&Tensor::is_leaf>,
-                             "Whether no operation of a living tape writes the tensor.")
+                             "Whether the tensor is not the result of an operation on an existing "
+                             "tape.")
       .def_property_readonly("version", method<&Tensor::version>,
                              "A number that grows with every write to the memory.")
       .def_property("requires_grad", method<&Tensor::requires_grad>,
                     method<&Tensor::set_requires_grad>,
-                    "Whether tapes record operations on the tensor. ValueError: not float32.")
+                    "Whether tapes record operations on the tensor and compute its gradient. "
+                    "ValueError: the tensor is not float32.")
       .def_property_readonly(
           "grad", &grad_of,
-          "The gradient, a Tensor of the same shape. The gradient is zero before the first "
-          "backward pass, and None if the tensor requires no gradient.");
+          "The gradient of a loss by this tensor, a Tensor of the same shape. None: the tensor "
+          "requires no gradient. Before the first backward pass the gradient is zero.");
 }
 
 void bind_methods(TensorClass& c) {
@@ -134,9 +136,7 @@ void bind_methods(TensorClass& c) {
        [](const Tensor& t, bool copy, bool writable) {
          return view_to_numpy(view_of(t), copy, writable);
        },
-       "copy"_a = true, "writable"_a = false,
-       "Returns a NumPy array: a copy, or with copy=False the memory itself, read-only unless "
-       "writable=True. novaphy.Error: inside a capture.")
+       "copy"_a = true, "writable"_a = false, doc::kTensorNumpy)
       .def("item", &item, "Returns the value of a tensor with one value, as a Python number.")
       .def(
           "tolist",
@@ -159,10 +159,8 @@ void bind_methods(TensorClass& c) {
             }
             return self;
           },
-          "source"_a, "Copies a tensor's values, recorded on an active tape. Returns self.")
-      .def("assign", &assign_tensor, "source"_a,
-           "Copies values from a Tensor, NumPy array or list of the same number of values "
-           "(ValueError). float64 values are rounded.")
+          "source"_a, doc::kCopy)
+      .def("assign", &assign_tensor, "source"_a, doc::kTensorAssign)
       .def(
           "fill_",
           [](const py::object& self, float value) {
@@ -243,11 +241,12 @@ void bind_methods(TensorClass& c) {
             return cuda_array_interface(view_of(t));
           })
       .def("__repr__", &repr);
-  // NumPy leaves arithmetic with a tensor to the tensor, so that no gradient is lost in an array.
+  // With __array_ufunc__ = None, NumPy leaves `array * tensor` to the tensor. Otherwise the result
+  // would be an array without a gradient.
   c.attr("__array_ufunc__") = py::none();
 }
 
-// An operator and the function of the same name, between tensors and numbers.
+// Binds an operator to a function of nova, for tensor-tensor and tensor-number operands.
 #define NOVAPHY_OPERATOR(name, function)                                                       \
   c.def(                                                                                       \
        "__" #name "__", [](const Tensor& a, const Tensor& b) { return nova::function(a, b); }, \
@@ -289,7 +288,8 @@ void bind_operators(TensorClass& c) {
   NOVAPHY_COMPARISON(ne, Ne);
   NOVAPHY_COMPARISON(ge, Ge);
   NOVAPHY_COMPARISON(gt, Gt);
-  // Without this overload Python would answer False and True for objects that cannot be compared.
+  // Without this overload, Python's == and != with an object that cannot be compared would be False
+  // and True.
   for (const char* name : {"__eq__", "__ne__"})
     c.def(name, [name](const Tensor&, const py::object& other) -> py::object {
       require(!PyList_Check(other.ptr()) && !py::hasattr(other, "__array__"), ErrorKind::Type, name,
@@ -311,9 +311,9 @@ void bind_operators(TensorClass& c) {
 
 void bind_nova_tensor(py::module_& m) {
   TensorClass c(m, "Tensor",
-                "A typed view of memory, with a gradient. Version, gradient and overwrite checks "
-                "belong to the memory, so "
-                "every view of the same bytes shares them.");
+                "An n-dimensional array of float32, int32 or uint8 values on a device, with an "
+                "optional gradient. Tensors over the same memory share the version and the "
+                "gradient, and a tape detects overwritten values in all of them.");
   bind_properties(c);
   bind_methods(c);
   bind_operators(c);

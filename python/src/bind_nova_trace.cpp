@@ -1,4 +1,4 @@
-// The values that a traced Python function computes with: Real, Int and Bool, and their functions.
+// Bindings of the traced values Real, Int and Bool, which functions for make_indexed_kernel use.
 #include "convert.h"
 #include "novaphy/nova/functions.h"
 
@@ -8,7 +8,8 @@ using nova::Bool;
 using nova::Int;
 using nova::Real;
 
-// A Python or NumPy number that becomes a constant of a trace. Truth values stay Bool.
+// A Python or NumPy number as an argument, which becomes a constant of a traced kernel. A bool is
+// not accepted, so that it becomes a Bool.
 struct RealConstant {
   float value = 0.0f;
 };
@@ -67,13 +68,14 @@ namespace {
 #define NOVAPHY_TRACED(cls, name, T, expression) \
   cls.def(                                       \
       "__" name "__", [](const T& a, const T& b) { return expression; }, py::is_operator())
-// Binds both orders of the operands. One of them may be a constant of any accepted kind.
+// Binds an operator and its reflected form (__radd__, ...), so that either operand may be a number.
 #define NOVAPHY_TRACED_PAIR(cls, name, T, expression) \
   NOVAPHY_TRACED(cls, name, T, expression);           \
   cls.def(                                            \
       "__r" name "__", [](const T& b, const T& a) { return expression; }, py::is_operator())
 
-// x**n for a whole number by repeated squaring, which is cheaper than pow, and exact for n = 2.
+// Returns x^n for an integer n by repeated squaring, which is cheaper than pow, and exact for n =
+// 2.
 Real whole_power(const Real& x, int32_t n) {
   if (n < -16 || n > 16) return nova::pow(x, Real(static_cast<float>(n)));
   Real result(1.0f), square = x;
@@ -160,7 +162,7 @@ void bind_bool(py::module_& m) {
   m.def(                              \
       #name, [](const Real& x) { return nova::name(x); }, "x"_a, doc);
 
-// Binds functions of traced values. Functions that tensors have too get an overload.
+// Binds functions of traced values. For functions that also exist for tensors, these are overloads.
 void bind_traced_functions(py::module_& m) {
   NOVAPHY_REAL_UNARY(abs, "")
   NOVAPHY_REAL_UNARY(sqrt, "")
@@ -208,11 +210,11 @@ void bind_traced_functions(py::module_& m) {
     m.def(
         name, [](const Int& a, const Int& b) { return nova::max(a, b); }, "a"_a, "b"_a);
   }
-  // Two plain numbers become Real, so that overload comes first.
+  // The overload for Real comes first, so that select(c, 1, 0) with two numbers gives a Real.
   m.def(
       "select", [](const Bool& c, const Real& a, const Real& b) { return nova::select(c, a, b); },
       "condition"_a, "a"_a, "b"_a,
-      "Returns a where the condition holds, else b. The gradient goes to the chosen side.");
+      "Returns a if the condition is true, else b. The gradient is that of the selected value.");
   m.def(
       "select", [](const Bool& c, const Int& a, const Int& b) { return nova::select(c, a, b); },
       "condition"_a, "a"_a, "b"_a);
@@ -225,8 +227,8 @@ void bind_traced_functions(py::module_& m) {
         return nova::with_derivative(y, x, dy_dx);
       },
       "y"_a, "x"_a, "dy_dx"_a,
-      "Returns y, with dy_dx declared as its derivative with respect to x. Pass detach(y) if dy_dx "
-      "is the whole derivative.");
+      "Returns y with the additional derivative dy_dx with respect to x. If dy_dx is the whole "
+      "derivative, pass detach(y) for y.");
 }
 
 }  // namespace

@@ -1,4 +1,4 @@
-// The box that a sphere pushes along a line.
+// Bindings of the push-box operators: a sphere pushes a box along a line.
 #include "nova_types.h"
 #include "novaphy/diff/push_box.h"
 #include "part_bindings.h"
@@ -48,22 +48,24 @@ void bind_operator(py::module_& m, const char* name, Operator f, const char* doc
 void bind_push_box(py::module_& m) {
   bind_operator(
       m, "integrate_push_box_generated", &diff::integrate_push_box_generated,
-      "Steps a box on a line that a sphere pushes toward larger x. Returns (box_x, box_v) {1} (m, "
-      "m/s) after dt (s), by symplectic Euler.\n\nbox_x, box_v, pusher_x, pusher_v: tensors "
-      "{1}.\nmass, half_extent, pusher_radius, ke, kd, friction, dt: kg, m, m, N/m, N s/m, 1 and "
-      "s; numbers or tensors {1}.\nsoftness, friction_velocity, gravity: m, m/s and m/s^2; numbers "
-      "or tensors {1}.\n\nWith z = -(box_x - half_extent - pusher_radius - pusher_x) / softness "
-      "the normal force is N = ke softness softplus(z) + kd sigmoid(z) v_s softplus((pusher_v - "
-      "box_v) / v_s). The friction is -mu m g tanh(box_v / v_s). The law is a smooth surrogate of "
-      "contact, without a reaction on the pusher. The gradients of this law are exact for all "
-      "inputs.\n\nValueError, with the name of the argument: another shape or device, a number out "
-      "of its range, a state that is not finite. Values of tensors are checked on the cpu outside "
-      "of captures. Elsewhere a value that is not finite enters the results.");
+      "Simulates one step of a box on a line that a sphere pushes toward larger x. Returns (box_x, "
+      "box_v) {1} (m, m/s) after dt (s), by symplectic Euler.\n\nbox_x, box_v, pusher_x, pusher_v: "
+      "positions (m) and velocities (m/s), tensors {1}.\nmass, half_extent, pusher_radius, ke, kd, "
+      "friction, dt: kg, m, m, N/m, N s/m, 1 and s; numbers or tensors {1}.\nsoftness, "
+      "friction_velocity, gravity: m, m/s and m/s^2; numbers or tensors {1}.\n\nThe contact law is "
+      "smooth, without a reaction on the pusher. With z = -(box_x - half_extent - pusher_radius - "
+      "pusher_x) / softness and v_s = friction_velocity, the normal force is N = ke softness "
+      "softplus(z) + kd sigmoid(z) v_s softplus((pusher_v - box_v) / v_s). The friction force is "
+      "-friction mass gravity tanh(box_v / v_s). Gradients are exact for all "
+      "inputs.\n\nValueError, with the name of the argument: a wrong shape or device, a number out "
+      "of range, or a state that is not finite. Values of tensors are checked on the CPU outside "
+      "of captures only.");
   bind_operator(m, "integrate_push_box_rollout_generated",
                 &diff::integrate_push_box_rollout_generated,
-                "Runs integrate_push_box_generated n times as one operation, with the same bits. "
-                "pusher_x and pusher_v {n} have a row per step. Returns (box_x, box_v) {n} after "
-                "every step. NotImplementedError: another device than the cpu.");
+                "Runs n steps of integrate_push_box_generated as one operation, with the same "
+                "bits. pusher_x and pusher_v {n} have a value per step. Returns (box_x, box_v) "
+                "{n}, the states after each step. NotImplementedError: another device than the "
+                "CPU.");
 }
 
 }  // namespace novaphy::python

@@ -24,7 +24,7 @@ py::dict sites_dict(const std::map<std::string, RobotSite>& sites) {
   return all;
 }
 
-// Returns the value of an option's word.
+// Returns the enumerator that a text option names. ErrorKind::Value: an unknown text.
 template <class T>
 T word(std::string_view function, const char* name, const std::string& given,
        std::initializer_list<std::pair<const char*, T>> words) {
@@ -64,7 +64,7 @@ std::optional<BaseJoint> to_base_joint(py::handle value) {
                    axes_of(joint, "linear_axes"), axes_of(joint, "angular_axes")};
 }
 
-// Returns text as it is, or the path of an os.PathLike.
+// Returns a str unchanged, or the path of an os.PathLike. ErrorKind::Type: another type.
 std::string path_text(py::handle value, std::string_view name, const char* expected) {
   const bool is_path = py::isinstance<py::str>(value) || py::hasattr(value, "__fspath__");
   require(is_path, ErrorKind::Type, name, ": expected ", expected, ", got ", type_name(value));
@@ -91,7 +91,7 @@ std::vector<std::filesystem::path> to_folders(std::string_view function, py::han
   return folders;
 }
 
-// Raises Python's OSError if the file does not exist.
+// Raises Python's OSError if `source` is a path and the file cannot be opened. XML text passes.
 void check_opens(const std::string& source) {
   const size_t first = source.find_first_not_of(" \t\r\n");
   if (first == std::string::npos || source[first] == '<' || source.starts_with("\xEF\xBB\xBF") ||
@@ -101,7 +101,7 @@ void check_opens(const std::string& source) {
   py::module_::import("builtins").attr("open")(source, "rb").attr("close")();
 }
 
-// Replaces a file's path by the text that xacro makes of the file, whose folder becomes readable.
+// Replaces the path of a .xacro file by the XML that xacro makes of it, and adds its folder.
 void expand_xacro(std::string_view function, std::string& source,
                   std::vector<std::filesystem::path>& folders) {
   const std::filesystem::path path = std::filesystem::absolute(source);
@@ -131,7 +131,7 @@ Unsupported to_unsupported(std::string_view function, const std::string& given) 
                            {{"error", Unsupported::Error}, {"warn", Unsupported::Warn}});
 }
 
-// While an object of this class lives, Python shows no warnings.
+// Suppresses Python's warnings during the lifetime of the object.
 struct NoWarnings {
   const py::module_ warnings = py::module_::import("warnings");
   const py::object context = warnings.attr("catch_warnings")();
@@ -144,8 +144,9 @@ struct NoWarnings {
   ~NoWarnings() { context.attr("__exit__")(py::none(), py::none(), py::none()); }
 };
 
-// add(builder, alone) adds the robot to the builder. With `filter`, pairs of its shapes never meet
-// if they overlap at the start of its joints. A model of the robot alone finds these pairs.
+// Adds a robot by add(builder, alone). With `filter`, pairs of its shapes that overlap in the
+// initial pose never collide. The pairs are found in a temporary model that contains only the
+// robot.
 template <class Add>
 RobotImport add_robot(ModelBuilder& builder, bool filter, const Add& add) {
   std::vector<ShapeOverlap> overlaps;
@@ -153,7 +154,7 @@ RobotImport add_robot(ModelBuilder& builder, bool filter, const Add& add) {
     ModelBuilder alone(builder.up_axis());
     alone.default_shape_cfg = builder.default_shape_cfg;
     alone.default_joint_cfg = builder.default_joint_cfg;
-    const NoWarnings no_warnings;  // the user's model gives the same warnings
+    const NoWarnings no_warnings;  // the user's model will give the same warnings
     add(alone, true);
     overlaps = find_overlaps(alone.finalize(Device::cpu()));
   }
@@ -258,18 +259,15 @@ void bind_report(py::module_& io) {
       .def_readonly("file", &RobotNote::file, "The file; <text> for XML given as text.")
       .def_readonly("line", &RobotNote::line, "The line of the element.")
       .def_readonly("element", &RobotNote::element, "The element, such as <joint name=\"knee\">.")
-      .def_readonly("text", &RobotNote::text, "The reader's action, and its reason.")
+      .def_readonly("text", &RobotNote::text, doc::kNoteText)
       .def("__str__", &note_text);
-  py::class_<RobotReport>(io, "RobotReport",
-                          "The elements of a robot's file that were read, mended and left out; "
-                          "str() lists them.")
+  py::class_<RobotReport>(io, "RobotReport", doc::kReport)
       .def_readonly("read", &RobotReport::read,
                     "A dict from the kind of an element to the number of such elements.")
       .def_readonly("mended", &RobotReport::mended,
-                    "RobotNotes on elements that the reader mended.")
+                    "RobotNotes on elements whose values the reader corrected.")
       .def_readonly("left_out", &RobotReport::left_out, doc::kLeftOut)
-      .def_readonly("ignored", &RobotReport::ignored,
-                    "RobotNotes on elements that do not affect motion, or up to the simulation.")
+      .def_readonly("ignored", &RobotReport::ignored, doc::kIgnored)
       .def("__str__", &report_text);
 }
 
@@ -279,9 +277,9 @@ void bind_parts(py::module_& io) {
                         "defaults of its class.")
       .def_readonly("kind", &RobotPart::kind, "The element, such as weld.")
       .def_readonly("name", &RobotPart::name, "The name of the element; empty: it has none.")
-      .def_readonly("names", &RobotPart::names, "A dict of attributes to names or words.")
-      .def_readonly("numbers", &RobotPart::numbers, "A dict of attributes to numbers.")
-      .def_readonly("parts", &RobotPart::parts, "The RobotParts of a tendon, in order.");
+      .def_readonly("names", &RobotPart::names, "A dict: attribute -> name or keyword.")
+      .def_readonly("numbers", &RobotPart::numbers, "A dict: attribute -> list of numbers.")
+      .def_readonly("parts", &RobotPart::parts, "The RobotParts along a tendon, in order.");
 }
 
 void bind_views(py::class_<RobotImport>& c) {
@@ -303,17 +301,17 @@ void bind_result(py::module_& io) {
   bind_parts(io);
   py::class_<RobotKeyframe>(io, "RobotKeyframe", "A keyframe of an MJCF file.")
       .def_readonly("time", &RobotKeyframe::time, "The time (s).")
-      .def_readonly("coord", &RobotKeyframe::coord, "The first row in joint_q.")
-      .def_readonly("joint_q", &RobotKeyframe::joint_q, "The values of joint_q from that row on.");
-  py::class_<RobotImport> c(io, "RobotImport", "The additions of add_urdf or add_mjcf, by name.");
+      .def_readonly("coord", &RobotKeyframe::coord, "The first row of the keyframe in joint_q.")
+      .def_readonly("joint_q", &RobotKeyframe::joint_q, "The values of joint_q from row coord on.");
+  py::class_<RobotImport> c(io, "RobotImport", "The objects that add_urdf or add_mjcf added.");
   bind_views(c);
   c.def_readonly("links", &RobotImport::links,
-                 "A dict of each link to its body. A merged link has the body that it is part of.")
-      .def_readonly("joints", &RobotImport::joints, "A dict of joints to indices; -1: merged.")
+                 "A dict: name of a link -> body. A merged link has the body that contains it.")
+      .def_readonly("joints", &RobotImport::joints, "A dict: name of a joint -> index; -1: merged.")
       .def_readonly("joint_dofs", &RobotImport::joint_dofs,
-                    "A dict of joints to first rows of joint_qd and joint_f; -1: merged.")
+                    "A dict: name of a joint -> first row in joint_qd and joint_f; -1: merged.")
       .def_readonly("joint_coords", &RobotImport::joint_coords,
-                    "A dict of each joint's name to its first row of joint_q; -1: merged.")
+                    "A dict: name of a joint -> first row in joint_q; -1: merged.")
       .def_property_readonly(
           "link_poses",
           [](const RobotImport& r) {
@@ -321,7 +319,7 @@ void bind_result(py::module_& io) {
             for (const auto& [name, pose] : r.link_poses) poses[py::str(name)] = pose_tuple(pose);
             return poses;
           },
-          "A dict of links to poses in their bodies (m, xyzw): the identity, unless merged.")
+          doc::kLinkPoses)
       .def_property_readonly(
           "shape_colors",
           [](const RobotImport& r) {
@@ -330,29 +328,30 @@ void bind_result(py::module_& io) {
               colors[py::int_(shape)] = py::make_tuple(rgba.x, rgba.y, rgba.z, rgba.w);
             return colors;
           },
-          "A dict of shapes to (r, g, b, a), for shapes whose file gives a color.")
+          "A dict: shape -> (r, g, b, a), for the shapes that have a color in the file.")
       .def_readonly("shapes", &RobotImport::shapes, "The shapes, in order.")
       .def_readonly("articulations", &RobotImport::articulations, "The articulations, in order.")
       .def_readonly("actuators", &RobotImport::actuators,
-                    "A dict of each actuator's name to its row of Control.ctrl.")
+                    "A dict: name of an actuator -> row in Control.ctrl.")
       .def_property_readonly(
           "sites", [](const RobotImport& r) { return sites_dict(r.sites); },
-          "A dict of each site to its body (-1: the world) and its pose there (m, xyzw).")
-      .def_readonly("keyframes", &RobotImport::keyframes, "A dict of names to RobotKeyframes.")
+          "A dict: name of a site -> (body, pose in the body (m, xyzw)); body -1: the world.")
+      .def_readonly("keyframes", &RobotImport::keyframes, "A dict: name -> RobotKeyframe.")
       .def_readonly("timestep", &RobotImport::timestep,
                     "The time step of the file (s); None: the file has none.")
       .def_readonly(
           "equalities", &RobotImport::equalities,
-          "RobotParts of the equalities. ModelBuilder.finalize refuses equalities that act.")
+          "The equalities, as RobotParts. ModelBuilder.finalize raises for active equalities.")
       .def_readonly("tendons", &RobotImport::tendons,
-                    "RobotParts of the tendons. ModelBuilder.finalize refuses tendons with forces.")
+                    "The tendons, as RobotParts. ModelBuilder.finalize raises if one has a force.")
       .def_readonly("height_fields", &RobotImport::height_fields,
-                    "RobotParts of the height fields. ModelBuilder.finalize refuses their geoms.")
+                    "The height fields, as RobotParts. ModelBuilder.finalize raises for their "
+                    "geoms.")
       .def_readonly("sensors", &RobotImport::sensors,
-                    "RobotParts of the sensors. No solver reads them.")
+                    "The sensors, as RobotParts. No solver uses them.")
       .def_readonly("report", &RobotImport::report, "The RobotReport of the reader.")
       .def_readonly("warnings", &RobotImport::warnings,
-                    "The notes of the report; notes with the same text count once.");
+                    "The texts of the notes in the report, each text once.");
 }
 
 }  // namespace

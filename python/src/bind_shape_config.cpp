@@ -18,8 +18,9 @@ void bind_mixing(py::class_<ShapeConfig>& c) {
       [](ShapeConfig& self, const std::array<float, 4>& x) {
         self.mixing = {x[0], x[1], x[2], x[3]};
       },
-      "The tuple (priority, weight, inverse mass (1/kg), mu in place of 0) for the material of a "
-      "pair of shapes. With the weight 0 the material is the mean of both shapes.");
+      "How the materials of two touching shapes are combined, as in MuJoCo: the tuple (priority, "
+      "weight, inverse mass (1/kg), mu that replaces a mu of 0). With the weight 0 the material is "
+      "the mean of both shapes.");
 }
 
 void bind_members(py::class_<ShapeConfig>& c) {
@@ -27,27 +28,29 @@ void bind_members(py::class_<ShapeConfig>& c) {
   NOVAPHY_MEMBER(density, "The density of the mass that the shape adds to its body (kg/m^3).")
   NOVAPHY_MEMBER(ke, "The contact stiffness (N/m).")
   NOVAPHY_MEMBER(kd, "The contact damping (N*s/m).")
-  NOVAPHY_MEMBER(kf, "The friction coefficient below the Coulomb limit (N*s/m).")
+  NOVAPHY_MEMBER(kf, "The viscous friction coefficient below the Coulomb limit (N*s/m).")
   NOVAPHY_MEMBER(ka,
-                 "The adhesion distance of rigid contacts (m). Models without bodies refuse it.")
+                 "The adhesion distance of rigid contacts (m). An error in models without bodies.")
   NOVAPHY_MEMBER(mu, "The coefficient of Coulomb friction (1).")
   NOVAPHY_MEMBER(restitution,
                  "The coefficient of restitution (1), for \"pgs\" contacts of SolverFeatherstone. "
-                 "Other solvers refuse all values but the default.")
+                 "Other solvers raise an error unless the value is the default.")
   NOVAPHY_MEMBER(mu_torsional,
                  "Stored. Solvers refuse all values but the default, because no force uses it.")
   NOVAPHY_MEMBER(mu_rolling,
                  "Stored. Solvers refuse all values but the default, because no force uses it.")
   NOVAPHY_MEMBER(
       margin,
-      "The thickness that moves the surface outwards for other shapes (m). For particles the "
-      "margin only widens the detection. For a shell it is the thickness of the wall.")
+      "The distance by which the surface is moved outwards for contacts with shapes (m). For "
+      "contacts with particles, the margin only increases the detection distance. For a shell, the "
+      "margin is the thickness of the wall.")
   NOVAPHY_MEMBER(gap, "The detection distance of rigid contacts (m); None: ModelBuilder.rigid_gap.")
-  NOVAPHY_MEMBER(is_solid, "Whether the mass is that of a solid; False: a shell.")
+  NOVAPHY_MEMBER(is_solid, "Whether the mass is computed for a solid; False: for a shell.")
   NOVAPHY_MEMBER(
       collision_group,
-      "The collision group. Group 0 collides with no shape. A positive group collides with itself "
-      "and with negative groups. A negative group collides with all groups but itself.")
+      "The collision group. A shape of group 0 collides with no shape. A shape of a positive group "
+      "collides with the same group and with negative groups. A shape of a negative group collides "
+      "with all groups except 0 and its own group.")
   NOVAPHY_MEMBER(collision_filter_parent,
                  "Whether contacts with the parent body of a joint are excluded.")
   NOVAPHY_MEMBER(has_shape_collision, "Whether the shape collides with shapes.")
@@ -62,8 +65,8 @@ void bind_members(py::class_<ShapeConfig>& c) {
 void bind_shape_config(py::module_& m) {
   const ShapeConfig d;
   py::class_<ShapeConfig> c(m, "ShapeConfig",
-                            "The material and collision settings of a shape. All numbers are "
-                            "finite. All but margin and collision_group are >= 0.");
+                            "The material and collision settings of a shape. All numbers must be "
+                            "finite, and >= 0 except margin and collision_group.");
   c.def(py::init([](float density, float ke, float kd, float kf, float ka, float mu,
                     float restitution, float mu_torsional, float mu_rolling, float margin,
                     std::optional<float> gap, bool is_solid, int32_t collision_group,

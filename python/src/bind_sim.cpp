@@ -1,4 +1,4 @@
-// Enumerations, Model, SimState, Control and Contacts.
+// Bindings of the enumerations, Model, SimState, Control and Contacts.
 #include <map>
 #include <tuple>
 
@@ -15,7 +15,8 @@ namespace {
 
 using Names = std::initializer_list<std::pair<const char*, int>>;
 
-// Adds an enum.IntEnum or enum.IntFlag. Its members are ints for every function that takes them.
+// Adds an enum.IntEnum or enum.IntFlag to the module. Functions of the engine take its members as
+// ints.
 void add_enum(py::module_& m, const char* base, const char* name, const char* doc,
               const Names& members) {
   py::dict values;
@@ -30,7 +31,7 @@ constexpr int value_of(E e) {
   return static_cast<int>(e);
 }
 
-// Returns a copy of C++ rows as a structured NumPy array.
+// Returns a copy of C++ structs as a structured NumPy array with these fields.
 template <class Row>
 py::object structured(const std::vector<Row>& rows, const py::list& fields) {
   const py::bytes data(reinterpret_cast<const char*>(rows.data()), rows.size() * sizeof(Row));
@@ -39,7 +40,7 @@ py::object structured(const std::vector<Row>& rows, const py::list& fields) {
       .attr("copy")();
 }
 
-// A rigid contact, with columns that follow from the model and a state.
+// A rigid contact with further columns, which are computed from the model and a state.
 struct PlacedContact {
   RigidContact contact;
   int32_t body0, body1;
@@ -92,8 +93,8 @@ py::object rigid_contact_rows(const Contacts& contacts, const Model* model, cons
   return structured(placed(rows, *model, *state), fields);
 }
 
-// Returns for every rigid contact the row of the first one in `previous` with the same shapes and,
-// unless `pairs`, the same point. -1: no such contact.
+// Returns for every rigid contact the first row in `previous` with the same shapes and, unless
+// `pairs`, the same point; -1: no such row.
 py::object match(const Contacts& contacts, const Contacts& previous, bool pairs) {
   require(contacts.model_id() == previous.model_id(), ErrorKind::Value,
           "match, previous: expected contacts of the same model");
@@ -112,7 +113,7 @@ py::object match(const Contacts& contacts, const Contacts& previous, bool pairs)
   return numpy().asarray(rows, numpy_dtype(Scalar::I32));
 }
 
-// Returns the repr. While a capture records, the counts are not known yet.
+// Returns the repr. Inside of a capture it has no counts, which are not known yet.
 std::string contacts_repr(const Contacts& c) {
   std::string rigid = std::to_string(c.rigid_contact_max()),
               soft = std::to_string(c.soft_contact_max());
@@ -211,22 +212,23 @@ void add_model_pickle(ModelClass& c) {
 
 // Binds the numbers of a model, which are checked when they are set.
 void bind_numbers(ModelClass& c) {
-#define NOVAPHY_BIND_NUMBER(name, by_default, infinite, unit, doc)                 \
-  c.def_property(                                                                  \
-      #name, [](const Model& self) { return self.name; },                          \
-      [](Model& self, float value) {                                               \
-        check_number("Model", ".", NumberInfo{#name, infinite, unit, doc}, value); \
-        self.name = value;                                                         \
-      },                                                                           \
-      unit ", >= 0: " doc                                                          \
-           ". A captured graph holds the value it was recorded with and "          \
-           "refuses another.");
+#define NOVAPHY_BIND_NUMBER(name, by_default, infinite, unit, doc)                  \
+  c.def_property(                                                                   \
+      #name, [](const Model& self) { return self.name; },                           \
+      [](Model& self, float value) {                                                \
+        check_number("Model", ".", NumberInfo{#name, infinite, unit, doc}, value);  \
+        self.name = value;                                                          \
+      },                                                                            \
+      unit ", >= 0: " doc                                                           \
+           ". A captured graph uses the value at its capture, and raises an error " \
+           "if the value has changed.");
   NOVAPHY_MODEL_NUMBERS(NOVAPHY_BIND_NUMBER)
 #undef NOVAPHY_BIND_NUMBER
 }
 
-// Binds a derived field. A read or an assignment first updates the field from its source. While a
-// tape or a capture observes this thread, the recorded operations do the update instead.
+// Binds a derived field, such as particle_inv_mass, which is computed from another array. A read or
+// an assignment first updates the field. Inside of a tape or capture, the recorded operations
+// update it.
 template <class T>
 void bind_derived(ModelClass& c, const char* name, DeviceArray<T> ModelFields::*member) {
   const auto array = [member](const Model& self) {
@@ -234,8 +236,8 @@ void bind_derived(ModelClass& c, const char* name, DeviceArray<T> ModelFields::*
     return static_cast<Array>(self.*member);
   };
   const auto doc = c.attr(name).attr("__doc__").cast<std::string>() +
-                   " The values follow the array that they are computed from. An assigned value "
-                   "stays until that array is written.";
+                   " The values are computed from another array. An assigned value stays until "
+                   "that array is written.";
   c.def_property(
       name, array,
       [array](Model& self, py::handle source) {
@@ -297,7 +299,7 @@ void bind_model(py::module_& m) {
               shapes[body[s]].push_back(static_cast<int32_t>(s));
             return shapes;
           },
-          "A dict of each body, and of the world (-1), to its shapes in ascending order.")
+          "A dict: body (-1: the world) -> list of its shapes in ascending order.")
       .def_readonly("shape_label", &Model::shape_label, "The name of each shape.")
       .def_property_readonly("shape_source", &shape_sources, doc::kShapeSource)
       .def_readonly("joint_label", &Model::joint_label, "The name of each joint.")
@@ -319,8 +321,7 @@ void bind_model(py::module_& m) {
       .def_property_readonly(
           "up_axis", [](const Model& self) { return value_of(self.up_axis()); },
           "The index of the up axis: 0, 1 or 2.")
-      .def("state", &new_state, "requires_grad"_a = py::none(),
-           "Returns a new state with the initial values. requires_grad: None takes the model's.")
+      .def("state", &new_state, "requires_grad"_a = py::none(), doc::kNewState)
       .def(
           "control",
           [](const Model& self, bool clone_variables, std::optional<bool> grad) {
@@ -328,14 +329,13 @@ void bind_model(py::module_& m) {
                     "control, clone_variables: a control always has arrays of its own");
             return self.control(grad);
           },
-          "clone_variables"_a = true, "requires_grad"_a = py::none(),
-          "Returns a new control with copies of the model's joint forces, targets and activations.")
+          "clone_variables"_a = true, "requires_grad"_a = py::none(), doc::kNewControl)
       .def(
           "contacts",
           [](const std::shared_ptr<Model>& self, CollisionPipeline* pipeline) {
             return pipeline != nullptr ? pipeline->contacts() : CollisionPipeline(self).contacts();
           },
-          "collision_pipeline"_a = py::none(), "Returns empty contacts. None: a default pipeline.")
+          "collision_pipeline"_a = py::none(), doc::kNewContacts)
       .def(
           "collide",
           [](const std::shared_ptr<Model>& self, const SimState& state, py::object contacts,
@@ -355,8 +355,7 @@ void bind_model(py::module_& m) {
           [](Model& self, py::handle value, std::optional<int32_t> world) {
             self.set_gravity(to_vec3(value, "gravity"), world);
           },
-          "value"_a, "world"_a = py::none(),
-          "Sets the gravity (m/s^2) of one world. None: all. ValueError: not finite.")
+          "value"_a, "world"_a = py::none(), doc::kSetGravity)
       .def("clone", &Model::clone, "Returns a copy on the same device.")
       .def(
           "to", [](const Model& self, py::handle device) { return self.to(to_device(device)); },
@@ -371,14 +370,13 @@ void bind_state(py::module_& m) {
   bind_counts(c);
   c.def("clear_forces", &SimState::clear_forces, release_gil(),
         "Sets particle_f and body_f to zero.")
-      .def("assign", &SimState::assign, "source"_a, release_gil(),
-           "Copies all values. ValueError, before any copy: sizes or devices differ.")
+      .def("assign", &SimState::assign, "source"_a, release_gil(), doc::kAssignState)
       .def("clone", &SimState::clone, "Returns a copy.");
   add_field_pickle(c);
 }
 
 void bind_control(py::module_& m) {
-  py::class_<Control> c(m, "Control", "The inputs of a step. Model.control() makes one.");
+  py::class_<Control> c(m, "Control", doc::kControl);
   using Fields = ControlFields;
   NOVAPHY_CONTROL_FIELDS(NOVAPHY_BIND_FIELD)
   bind_field(
@@ -395,7 +393,7 @@ void bind_control(py::module_& m) {
          if (model != nullptr) self.joint_target_q.assign(model->joint_target_q);
        },
        "model"_a = py::none(),
-       "Sets all arrays to zero. With a model, joint_target_q gets the model's values.")
+       "Sets all arrays to zero. If a model is given, joint_target_q gets the model's targets.")
       .def("assign", &Control::assign, "source"_a,
            "Copies all values of another control. ValueError: sizes or devices differ.")
       .def("clone", &Control::clone, "Returns a copy.");
@@ -414,20 +412,16 @@ void bind_contacts(py::module_& m) {
                           to_device(device));
         }),
         "rigid_contact_max"_a = 0, "soft_contact_max"_a = 0, py::kw_only(), "device"_a = py::none(),
-        "requires_grad"_a = false, "per_contact_shape_properties"_a = false,
-        "Makes empty contacts without a model. A pipeline only takes contacts that it made.");
+        "requires_grad"_a = false, "per_contact_shape_properties"_a = false, doc::kContactsInit);
   NOVAPHY_CONTACT_FIELDS(NOVAPHY_BIND_FIELD)
   c.def_property_readonly("soft_contact_max", &Contacts::soft_contact_max,
                           "The number of slots for soft contacts.")
       .def_property_readonly("rigid_contact_max", &Contacts::rigid_contact_max,
                              "The number of rows for rigid contacts.")
       .def_property_readonly("per_contact_shape_properties",
-                             &Contacts::per_contact_shape_properties,
-                             "Whether rows of rigid contacts may have their own materials.")
-      .def_property_readonly(
-          "active_rigid_contact_count", &Contacts::active_rigid_contact_count,
-          "The number of rigid contacts: min(rigid_contact_count, rigid_contact_max). "
-          "Reads from the device.")
+                             &Contacts::per_contact_shape_properties, doc::kPerContact)
+      .def_property_readonly("active_rigid_contact_count", &Contacts::active_rigid_contact_count,
+                             doc::kActiveRigid)
       .def("__len__",
            [](const Contacts& found) {
              return found.active_rigid_contact_count() + found.active_soft_contact_count();
@@ -440,16 +434,11 @@ void bind_contacts(py::module_& m) {
                              "The number of candidate (particle, shape) pairs.")
       .def_property_readonly("device", &Contacts::device, "The device of the arrays.")
       .def_readwrite("requires_grad", &Contacts::requires_grad, "Whether gradients are requested.")
-      .def_property_readonly("overflowed", &Contacts::overflowed,
-                             "Whether more contacts were found than fit. Reads from the device.")
-      .def_property_readonly(
-          "active_soft_contact_count", &Contacts::active_soft_contact_count,
-          "The number of soft contacts: min(soft_contact_count, soft_contact_max). Reads "
-          "from the device.")
+      .def_property_readonly("overflowed", &Contacts::overflowed, doc::kOverflowed)
+      .def_property_readonly("active_soft_contact_count", &Contacts::active_soft_contact_count,
+                             doc::kActiveSoft)
       .def("clear", &Contacts::clear, "Removes all contacts.")
-      .def("soft_contacts", &soft_contact_rows,
-           "Returns the soft contacts in slot order, as a NumPy copy. The columns are particle, "
-           "shape, body_pos (m, body frame), body_vel (m/s, body frame) and normal (world frame).")
+      .def("soft_contacts", &soft_contact_rows, doc::kSoftContacts)
       .def("assign", &Contacts::assign, "source"_a,
            "Copies all values of other contacts. ValueError: sizes or devices differ.")
       .def("clone", &Contacts::clone, "Returns a copy.");

@@ -1,4 +1,4 @@
-// SolverVBD.
+// Bindings of SolverVBD and DiffSolverVBD.
 #include <pybind11/numpy.h>
 
 #include "doc_vbd.h"
@@ -37,7 +37,8 @@ bool to_converged(const std::string& solve) {
   return solve == "converged";
 }
 
-// `margin` is Newton's name of the radius.
+// Returns the options of self-contact; empty: no self-contact. `margin` is Newton's name of
+// `radius`.
 std::optional<VbdSelfContact> to_self_contact(bool enable, std::optional<float> radius,
                                               std::optional<float> margin,
                                               std::optional<float> gap) {
@@ -65,7 +66,7 @@ py::array_t<T> to_column(const T* values, size_t rows, py::ssize_t width = 0) {
 
 constexpr char kKinematicCountDoc[] =
     "The number of kinematic particles, which is the number of rows of targets.";
-constexpr char kHeldCountDoc[] = "The old name of kinematic_count. DeprecationWarning.";
+constexpr char kHeldCountDoc[] = "Deprecated: the old name of kinematic_count.";
 
 template <class Solver>
 int32_t old_kinematic_count(const Solver& solver) {
@@ -160,7 +161,8 @@ void bind_diff_vbd(py::module_& solvers) {
       .def("clear_gradient_info", &DiffSolverVBD::clear_gradient_info,
            "Resets the counts of gradient_info.")
       .def("reset", &DiffSolverVBD::reset, release_gil(),
-           "Forgets the velocity that initial_guess=\"adaptive\" reads. Can be captured.")
+           "Clears the velocity that initial_guess=\"adaptive\" keeps between steps. The call may "
+           "be captured.")
       .def(
           "step",
           [](DiffSolverVBD& s, SimState& state_in, SimState& state_out, const Control* control,
@@ -172,34 +174,35 @@ void bind_diff_vbd(py::module_& solvers) {
           },
           "state_in"_a, "state_out"_a, "control"_a.none(true), "contacts"_a.none(true), "dt"_a,
           py::kw_only(), "targets"_a = py::none(),
-          "Advances state_in by dt (s) into state_out, as SolverVBD.step. targets may be a Tensor "
-          "that carries a gradient.");
+          "Advances state_in by dt (s) into state_out, see SolverVBD.step. targets may be a Tensor "
+          "that requires a gradient.");
 }
 #endif
 
 void bind_residual(py::module_& solvers) {
   py::class_<VbdResidual>(
       solvers, "VbdResidual",
-      "The residual of a step of SolverVBD, for the connected component of particles that is "
-      "farthest from its solution. This component has the largest `relative` of all above twice "
-      "their `floor`. Where no component is above, it has the largest of all.")
+      "How far a step of SolverVBD is from its solution, for one connected component of particles. "
+      "The component is the one with the largest `relative`, among the components whose `relative` "
+      "exceeds twice their `floor`. If there are none, all components are compared.")
       .def_readonly("force", &VbdResidual::force,
                     "The norm of the total force on the particles, with inertia (N).")
-      .def_readonly("scale", &VbdResidual::scale,
-                    "The force (N) that the step had to balance, as a norm over the particles. Its "
-                    "parts are the forces of contacts and elements, gravity, and the motion "
-                    "relative to the mean motion of the component.")
+      .def_readonly(
+          "scale", &VbdResidual::scale,
+          "The size of the forces that the step had to balance (N), as a norm over the particles. "
+          "These are forces of contacts and elements, gravity, and inertia of the motion "
+          "relative to the component's mean motion.")
       .def_readonly("relative", &VbdResidual::relative,
                     "The ratio force / scale; 0 if the force is 0.")
       .def_readonly("floor", &VbdResidual::floor,
-                    "The part of `relative` that one rounding of the positions can cause.")
+                    "The value of `relative` that rounding of the positions to float32 can cause.")
       .def_readonly("iterations", &VbdResidual::iterations, "The number of iterations that ran.");
 }
 
 void bind_self_contacts(py::module_& solvers) {
   py::class_<VbdSelfContacts>(
       solvers, "VbdSelfContacts",
-      "The contacts of surfaces with each other at the end of a step of SolverVBD.")
+      "The contacts between triangles and edges of surfaces at the end of a step of SolverVBD.")
       .def("__len__", [](const VbdSelfContacts& c) { return c.gaps.size(); })
       .def_property_readonly(
           "particles",
@@ -207,20 +210,20 @@ void bind_self_contacts(py::module_& solvers) {
             return to_column(reinterpret_cast<const int32_t*>(c.particles.data()),
                              c.particles.size(), 4);
           },
-          "int32 {n, 4}: a vertex and the corners of a triangle, or the ends of two edges.")
+          "int32 {n, 4}: the particles of a vertex and of a triangle, or of two edges.")
       .def_property_readonly(
           "has_edges",
           [](const VbdSelfContacts& c) {
             return to_column(reinterpret_cast<const bool*>(c.has_edges.data()), c.has_edges.size());
           },
-          "bool {n}: whether the contact has two edges.")
+          "bool {n}: True: a contact of two edges. False: of a vertex and a triangle.")
       .def_property_readonly(
           "gaps", [](const VbdSelfContacts& c) { return to_column(c.gaps.data(), c.gaps.size()); },
-          "float32 {n}: distance of the two features (m).")
+          "float32 {n}: the distance between the two features (m).")
       .def_property_readonly(
           "forces",
           [](const VbdSelfContacts& c) { return to_column(c.forces.data(), c.forces.size()); },
-          "float32 {n}: normal force, without damping (N).");
+          "float32 {n}: the normal force without damping (N).");
 }
 
 void bind_options(py::class_<SolverVBD, SolverBase>& solver) {
@@ -239,24 +242,24 @@ void bind_options(py::class_<SolverVBD, SolverBase>& solver) {
           "The initial guess: \"inertia\", \"previous\" or \"adaptive\".")
       .def_property_readonly(
           "acceleration", [](const SolverVBD& s) { return s.options().acceleration; },
-          "The spectral radius of Chebyshev acceleration, or None.")
+          "The spectral radius of Chebyshev acceleration; None: no acceleration.")
       .def_property_readonly(
           "tolerance", [](const SolverVBD& s) { return s.options().tolerance; },
-          "The bound of residual().relative, or None.")
+          "The bound of residual().relative at which iterations end; None: no bound.")
       .def_property_readonly(
           "safeguard", [](const SolverVBD& s) { return s.options().safeguard; },
-          "Whether steps are halved while the energy rises.")
+          "Whether the step of a particle is halved as long as it raises the energy.")
       .def_property_readonly(
           "coarse", [](const SolverVBD& s) { return s.options().coarse ? "auto" : nullptr; },
           "The coarse correction: \"auto\" or None.")
       .def_property_readonly(
           "solve",
           [](const SolverVBD& s) { return s.options().converged ? "converged" : "iterations"; },
-          "How far a step goes: \"iterations\" or \"converged\".")
+          "When a step ends: after the \"iterations\", or when it has \"converged\".")
       .def_property_readonly(
           "particle_enable_self_contact",
           [](const SolverVBD& s) { return s.options().self_contact.has_value(); },
-          "Whether surfaces push each other apart.")
+          "Whether triangles of surfaces push each other apart.")
       .def_property_readonly(
           "lhs_regularization", [](const SolverVBD& s) { return s.options().lhs_regularization; },
           "The relative regularization of nearly singular blocks (1).");
@@ -277,10 +280,10 @@ void bind_steps(py::class_<SolverVBD, SolverBase>& solver) {
           py::kw_only(), "targets"_a = py::none(), doc::kVbdStep)
       .def("residual", &SolverVBD::residual, release_gil(), doc::kVbdResidual)
       .def("self_contacts", &SolverVBD::self_contacts, release_gil(),
-           "Returns the VbdSelfContacts of the last step. ValueError: a solver without "
+           "Returns the VbdSelfContacts of the last step. ValueError: the solver was made without "
            "particle_enable_self_contact.")
       .def("reset", &SolverVBD::reset,
-           "Forgets the last step, which the adaptive guess and residual() read.");
+           "Clears what initial_guess=\"adaptive\" and residual() keep of the last step.");
 }
 
 }  // namespace
@@ -291,14 +294,14 @@ void bind_vbd(py::module_& solvers) {
   const VbdOptions d;
   py::class_<SolverVBD, SolverBase> solver(
       solvers, "SolverVBD",
-      "Implicit Euler by Vertex Block Descent, stable at large steps and stiffnesses. The solver "
-      "supports particles, springs, triangles, bending edges, tetrahedra, external forces, "
-      "gravity, and contacts with world-owned shapes. On the CPU it supports rigid bodies with "
-      "their contacts and joints.\n\nParticles need colors: "
-      "ModelBuilder.color(). Particles of mass 0 or without ParticleFlags.ACTIVE are kinematic. A "
-      "step does not write to state_in. The bits are the same for any number of threads and on a "
-      "CUDA device.\n\nA step can be captured. On a tape the step raises if an input carries a "
-      "gradient.");
+      "Implicit Euler, solved by Vertex Block Descent (Chen et al. 2024). Steps are stable even "
+      "for a large dt and high stiffness. The solver supports particles, springs, triangles, "
+      "bending edges, tetrahedra, external forces, gravity, and contacts with world-owned shapes. "
+      "On the CPU it also supports rigid bodies with their contacts and joints.\n\nParticles need "
+      "colors: call ModelBuilder.color(). Particles of mass 0 or without ParticleFlags.ACTIVE are "
+      "kinematic. A step does not write to state_in. The bits are the same for any number of "
+      "threads and on a CUDA device.\n\nA step can be captured. On a tape the step raises an error "
+      "if an input requires a gradient: use DiffSolverVBD.");
   bind_options(solver);
   solver
       .def(py::init([](const std::shared_ptr<Model>& model, int32_t iterations,

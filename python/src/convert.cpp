@@ -5,7 +5,8 @@
 namespace novaphy::python {
 namespace {
 
-// A view of the items of a tuple, list, array, ...; a string has none. The view borrows the items.
+// Access to the items of a tuple, list, array or other sequence, but not of a string. The
+// references to the items are borrowed.
 class Items {
  public:
   Items(py::handle value, const char* name, const char* expected) {
@@ -26,11 +27,12 @@ class Items {
 };
 
 bool is_ndarray(py::handle value) {
-  // True only if NumPy is in the process.
+  // The attribute is tested first, so that NumPy is not imported for other types.
   return PyObject_HasAttrString(value.ptr(), "__array_interface__") != 0;
 }
 
-// A packed copy of an array with `columns` columns (0: one dimension) in the wanted scalar.
+// Returns an array as a C-contiguous NumPy array of the scalar type, with shape (n, columns), or
+// (n,) for columns = 0.
 py::object packed(py::handle value, const char* name, Scalar scalar, size_t columns) {
   const NumPy& np = numpy();
   const py::object array = np.asarray(value);
@@ -227,8 +229,8 @@ DType to_dtype(py::handle value) {
 }
 
 const NumPy& numpy() {
-  // Made under the GIL, which the import may release for a time. Never destroyed, because Python
-  // ends before static objects do.
+  // The import may release the GIL for a time, so another thread may create the object meanwhile.
+  // The object is never destroyed, because Python ends before static objects are destroyed.
   static const NumPy* np = nullptr;
   if (np == nullptr) {
     const py::module_ module = py::module_::import("numpy");

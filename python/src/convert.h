@@ -1,6 +1,6 @@
-// Python values to engine values. A conversion that fails names the argument: TypeError for a wrong
-// kind of object, ValueError for a wrong number of numbers. Numbers may be float64; they are
-// rounded to float32.
+// Conversions of Python values to engine values. If a conversion fails, the error names the
+// argument: TypeError for a wrong type, ValueError for a wrong count. float64 numbers are rounded
+// to float32.
 #pragma once
 
 #include <pybind11/pybind11.h>
@@ -25,7 +25,7 @@ namespace novaphy::python {
 namespace py = pybind11;
 using namespace pybind11::literals;
 
-// The parts of the module, one per library.
+// The functions that bind the parts of the module novaphy._core.
 void bind_core(py::module_& m);
 void bind_array(py::module_& m);
 void bind_enums(py::module_& m);
@@ -54,10 +54,11 @@ void bind_diff(py::module_& diff, py::module_& solvers);
 void bind_diff_featherstone(py::module_& diff, py::module_& solvers);
 void bind_event_times(py::module_& diff);
 
-// Call this after all bindings. Errors then name a wrong argument, see argument_errors.cpp.
+// Makes TypeErrors of all functions of the module name the wrong argument (argument_errors.cpp).
+// Call the function after all bindings are made.
 void explain_argument_errors(py::module_& m);
 
-// "str", "numpy.ndarray", ...
+// Returns the name of a value's type, such as "str" or "numpy.ndarray".
 std::string type_name(py::handle value);
 
 float to_float(py::handle value, const char* name);
@@ -66,41 +67,41 @@ int32_t to_int32(py::handle value, const char* name);
 void to_floats(py::handle value, const char* name, std::span<float> out);
 Vec3f to_vec3(py::handle value, const char* name);
 Vec4f to_vec4(py::handle value, const char* name);
-// None: the identity; else (px, py, pz, qx, qy, qz, qw), or a pair (position, quaternion).
+// Reads (px, py, pz, qx, qy, qz, qw), or a pair (position, quaternion). None: the identity.
 Transformf to_transform(py::handle value, const char* name);
-// Returns `cfg` with a color. color: None keeps that of cfg. cfg: null takes the builder's default.
+// Returns cfg with another color. color None: the color of cfg. cfg null: the builder's default.
 ShapeConfig shape_config(const ModelBuilder& builder, const ShapeConfig* cfg, py::handle color);
 std::vector<Vec3f> to_vec3_list(py::handle value, const char* name);
 std::vector<float> to_float_list(py::handle value, const char* name);
 std::vector<int32_t> to_int_list(py::handle value, const char* name);
 
-// None: the default device; else a Device or its name.
+// Reads a Device or the name of a device. None: the default device.
 Device to_device(py::handle value);
-// 0, 1, 2, "x", "y", "z" or a unit vector along an axis.
+// Reads an axis: 0, 1, 2, "x", "y", "z" or a unit vector along an axis.
 Axis to_axis(py::handle value);
-// None: 9.81 m/s^2 downwards; a number along the up axis; or a vector.
+// Reads a gravity (m/s^2): a vector, or a number along the up axis. None: -9.81 along the up axis.
 GravitySpec to_gravity(py::handle value);
 
-// The Python object of an element type. There is one for each type: novaphy.vec3, ...
+// An element type as a Python object, such as novaphy.vec3. Each type has a single object.
 struct DTypeObject {
   DType dtype;
 };
 py::object dtype_object(DType dtype);
-// A dtype object, its name, or a NumPy dtype of a scalar.
+// Reads a dtype object, its name, or the NumPy dtype of a scalar.
 DType to_dtype(py::handle value);
 
-// (1, 2, 3)
+// Returns a vector as a tuple of three numbers.
 py::tuple to_tuple(const Vec3f& value);
 
-// NumPy, imported at the first use.
+// Objects of the module numpy, which is imported at the first use.
 struct NumPy {
   py::object asarray, empty, generic, dtype, iinfo;
-  py::object scalars[5];  // dtypes by novaphy::Scalar
+  py::object scalars[5];  // NumPy dtypes, indexed by novaphy::Scalar
 };
 const NumPy& numpy();
 const py::object& numpy_dtype(Scalar scalar);
 
-// A contiguous NumPy array as bytes, for as long as this object lives.
+// Access to the bytes of a contiguous NumPy array during the lifetime of the object.
 class BufferView {
  public:
   BufferView(py::handle array, bool writable) {

@@ -1,5 +1,6 @@
-// DLPack: exchange of arrays with NumPy, PyTorch, JAX, ... without a copy. The structures are those
-// of the public DLPack ABI, unversioned and 1.0 (https://dmlc.github.io/dlpack).
+// DLPack: exchange of arrays with NumPy, PyTorch, JAX, ... without a copy. The structs are those of
+// the public DLPack ABI, in the old form without a version and in version 1.0
+// (https://dmlc.github.io/dlpack).
 #include <cstring>
 
 #include "exchange.h"
@@ -22,7 +23,7 @@ struct DLTensor {
   int32_t ndim;
   DLDataType dtype;
   int64_t* shape;
-  int64_t* strides;  // in elements; null: packed
+  int64_t* strides;  // in elements; null: row-major without gaps
   uint64_t byte_offset;
 };
 struct DLManagedTensor {
@@ -67,7 +68,8 @@ DLDataType dl_type_of(Scalar scalar) {
 // The memory that an exported tensor points to, and its owner.
 struct Exported {
   std::shared_ptr<Range> range;
-  std::shared_ptr<void> writable;  // NumPy obeys the protocol's read-only flag, PyTorch does not
+  std::shared_ptr<void> writable;  // marks the memory as writable by others: PyTorch ignores the
+                                   // read-only flag of the protocol
   std::vector<int64_t> shape, strides;
 };
 
@@ -85,7 +87,7 @@ DLTensor describe(const View& view, Exported& owner) {
           .byte_offset = 0};
 }
 
-// Frees a managed tensor that no consumer took, together with its capsule.
+// The destructor of a capsule: frees the managed tensor if no consumer has taken it.
 template <class Managed>
 void destroy_capsule(PyObject* capsule) {
   const char* name = PyCapsule_GetName(capsule);
@@ -134,7 +136,8 @@ Device device_of(const DLDevice& device) {
   fail(ErrorKind::Value, "from_dlpack: no device for DLPack device type ", device.type);
 }
 
-// Takes a managed tensor out of its capsule. The tensor's deleter runs when the storage is freed.
+// Takes a managed tensor out of its capsule, as memory of the engine. When the memory is freed, the
+// deleter of the managed tensor runs.
 template <class Managed>
 View adopt(PyObject* capsule, const char* name, const char* used_name, bool copy) {
   auto* managed = static_cast<Managed*>(PyCapsule_GetPointer(capsule, name));
@@ -195,8 +198,8 @@ py::object export_dlpack(const View& view, py::handle stream, py::handle max_ver
   require(stream.is_none() || own.type != kCpu, ErrorKind::Value,
           "__dlpack__, stream: expected None on the cpu");
   if (ArrayObserver* observer = array_observer()) observer->host_read("__dlpack__");
-  // In the protocol a stream of -1 asks for no wait, and 0 is ambiguous. After a wait of the host,
-  // every stream may use the memory.
+  // Stream -1 of the protocol means that the consumer needs no synchronization. 0 is not allowed.
+  // The host waits for the device here, so afterwards every stream may use the memory.
   const int64_t consumer = stream.is_none() ? 1 : stream.cast<int64_t>();
   require(consumer >= -1 && consumer != 0, ErrorKind::Value,
           "__dlpack__, stream: expected None, -1, 1, 2 or a stream's address, got ", consumer);
@@ -220,8 +223,8 @@ py::object export_dlpack(const View& view, py::handle stream, py::handle max_ver
 View import_dlpack(py::handle source, bool copy) {
   require(PyObject_HasAttrString(source.ptr(), "__dlpack__") != 0, ErrorKind::Type,
           "from_dlpack: expected an object with __dlpack__, got ", type_name(source));
-  // The memory will be used on a stream that is ordered with the device's default stream, which is
-  // number 1 in the protocol. The producer makes that stream wait for its own pending work.
+  // The engine uses the memory in the order of the device's default stream, which has the number 1
+  // in the protocol. The producer makes this stream wait for the producer's pending work.
   py::dict stream;
   if (PyObject_HasAttrString(source.ptr(), "__dlpack_device__") != 0 &&
       source.attr("__dlpack_device__")().cast<std::pair<int32_t, int32_t>>().first == kCuda)
@@ -232,8 +235,8 @@ View import_dlpack(py::handle source, bool copy) {
     capsule = source.attr("__dlpack__")("max_version"_a = py::make_tuple(1, 0), **stream);
   } catch (py::error_already_set& error) {
     if (!error.matches(PyExc_TypeError)) throw;
-    // A producer from before version 1.0, such as NumPy 1 and PyTorch, exports only writable
-    // memory.
+    // The producer has no argument max_version: it is older than DLPack 1.0, such as NumPy 1. Such
+    // producers export only writable memory.
     capsule = source.attr("__dlpack__")(**stream);
     knows_version_1 = false;
   }
@@ -242,8 +245,8 @@ View import_dlpack(py::handle source, bool copy) {
                                            copy);
   require(PyCapsule_IsValid(capsule.ptr(), kName) != 0, ErrorKind::Type,
           "from_dlpack: __dlpack__ gave no DLPack capsule");
-  // A producer that knows version 1.0 may still answer without flags, as JAX does for its immutable
-  // arrays. The memory may then be read-only. NumPy takes such memory for read-only too.
+  // A producer that supports version 1.0 may still return a capsule without flags, as JAX does for
+  // its immutable arrays. Such memory may be read-only. NumPy treats it as read-only, too.
   if (knows_version_1 && !copy)
     buffer_error(
         "from_dlpack: the producer does not say whether the memory may be written (a DLPack "

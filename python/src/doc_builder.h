@@ -4,107 +4,130 @@
 namespace novaphy::python::doc {
 
 inline constexpr char kAddBody[] =
-    R"(Adds a rigid body at rest that moves freely: a link, its FREE joint to the world, and an
-articulation of both. Returns the index.
+    R"(Adds a rigid body that moves freely, with the velocity 0: a link, a FREE joint to the world,
+and an articulation of the joint. Returns the index of the body.
 
-xform: the pose (m, xyzw).
-mass: kg. com: the center of mass (m, body frame).
-inertia: 3x3 (kg*m^2) about com; None: a point mass. Shapes with a density add to mass and inertia.
+xform: the pose of the body's origin (m, quaternion xyzw, world frame).
+mass: kg. Shapes with a density add to the mass and the inertia.
+com: the center of mass (m, body frame).
+inertia: 3x3 (kg*m^2) about com, in body axes. None: a point mass.
 lock_inertia: shapes add no mass and no inertia.
-is_kinematic: the body follows its velocity, and no force moves it.
-gravcomp: the part of the weight that a force at the center of mass cancels.
+is_kinematic: the body moves with its prescribed velocity, and no force changes the velocity.
+gravcomp: the part of the weight that a force at the center of mass cancels (1).
 
-ValueError: a mass or inertia that no body can have. finalize checks again.)";
+ValueError: the mass or the inertia is not possible for a body. finalize checks again.)";
 
 inline constexpr char kSetFluid[] =
-    R"(Sets the fluid of this builder, which drags the links of articulations.
+    R"(Sets the fluid around the bodies of this builder, which exerts drag on links of
+articulations.
 
-Worlds take the fluid as they take gravity. The fluid acts on a box for each body: the box of uniform
-density with the body's mass and inertia. SolverFeatherstone and DiffFeatherstoneSolver have these
-forces, which are explicit. The law is MuJoCo's inertia-based model.
+A world takes the fluid of its builder, as it takes the gravity. The drag is that of a box of
+uniform density with the body's mass and inertia. The law is MuJoCo's inertia-based fluid model.
+SolverFeatherstone and DiffFeatherstoneSolver compute the forces at the start of a step.
 
 density: kg/m^3.
 viscosity: Pa*s.
 wind: the velocity of the fluid (m/s, world frame).
 
-ValueError: a number is not finite, or the density or the viscosity is negative. finalize,
-begin_world and add_builder check.)";
+finalize, begin_world and add_builder raise ValueError if a number is not finite, or the density or
+the viscosity is negative.)";
 
 inline constexpr char kAddShape[] =
     R"(Adds a shape of a GeoType to a body. Returns the index.
 
-scale: the size (m).
-src: the mesh of a MESH or CONVEX_MESH, as of add_shape_mesh.
+body: the index of the body; -1: the world.
+xform: the pose of the shape (m, quaternion xyzw) in the body frame.
+cfg: the ShapeConfig; None: default_shape_cfg.
+scale: the size (m), as in Model.shape_scale.
+src: the mesh of a MESH or CONVEX_MESH, as the argument mesh of add_shape_mesh.
 is_static: the shape adds no mass to its body.
-color: red, green and blue, 0 to 1, in viewers; None: viewers choose. Every add_shape function
+color: red, green and blue (0 to 1) for viewers; None: viewers choose. Every add_shape function
 takes a color.
 
 NotImplementedError: a type that is not supported.)";
 
 inline constexpr char kAddSite[] =
-    R"(Adds a site: a frame of a body (-1: the world), without contacts and mass.
+    R"(Adds a site: a named frame on a body (-1: the world), without contacts and mass.
 
 A site is a shape with ShapeFlags.SITE. Returns the index of the shape. Model.select finds sites by
-name. Sensors, targets and actuators refer to their poses.
+name. Sensors, targets and actuators can refer to the pose of a site.
 
-xform: the pose in the body (m, xyzw).
-type, scale: the GeoType and the size (m) in which viewers draw a visible site.
+xform: the pose in the body frame (m, quaternion xyzw).
+type, scale: the GeoType and the size (m) that viewers draw for a visible site.
 
-IndexError: no such body.
-ValueError: a pose or a size that is not finite, a quaternion that is not of length 1.)";
+IndexError: the body does not exist.
+ValueError: a pose or a size is not finite, or a quaternion does not have length 1.)";
 
 inline constexpr char kBuilder[] =
-    R"(Collects particles, elements over them, bodies and shapes, and makes Models.
+    R"(Collects particles, elements between particles, bodies, joints and shapes. finalize makes a
+Model.
 
-Positions may be tuples, lists or arrays of any float type; they are rounded to float32. A bad
-argument raises and leaves the builder as it was.
+Positions may be tuples, lists or arrays of any float type, and are rounded to float32. A call with
+a wrong argument raises an error and does not change the builder.
 
-ValueError: a number that is not finite, negative, a vector not of unit length, ...
-IndexError: no such body or shape.
-NotImplementedError: a shape type that is not supported.)";
+ValueError: a number is not finite or is out of range, a vector does not have unit length, ...
+IndexError: a body, joint, particle or shape does not exist.
+NotImplementedError: a shape type is not supported.)";
 
 inline constexpr char kAddPlane[] =
-    R"(Adds a plane a*x + b*y + c*z + d = 0 with the normal (a, b, c), or at `xform` with its +z as
-the normal. Returns the index.
+    R"(Adds a plane as a shape and returns its index.
 
-width, length: m, along local x and y; infinite unless both are > 0.)";
+plane: (a, b, c, d) of the plane a*x + b*y + c*z + d = 0 with the normal (a, b, c), body frame.
+xform: used in place of `plane`: the pose (m, quaternion xyzw) of a plane with the normal +z.
+width, length: the size along local x and y (m). The plane is infinite unless both are > 0.)";
 
 inline constexpr char kBalanceInertia[] =
-    R"(Whether finalize corrects an inertia of which one principal moment exceeds the sum of the
-others. All moments then grow by the same amount until none does, with a RuntimeWarning. False: a
-ValueError.)";
+    R"(Whether finalize corrects an impossible inertia: one principal moment exceeds the sum of the
+other two. True: finalize adds the least equal amount to all three moments and gives a
+RuntimeWarning. False: finalize raises ValueError.)";
 
 inline constexpr char kAddParticles[] =
-    R"(Adds many particles.
+    R"(Adds n particles.
 
-pos, vel: arrays {n, 3} (m, m/s).
-mass, radius, flags: {n}, as of add_particle; mass in kg, radius in m.
+pos, vel: positions {n, 3} (m) and velocities {n, 3} (m/s), world frame.
+mass: {n} (kg); 0: a kinematic particle.
+radius: {n} (m); None: default_particle_radius.
+flags: {n} ParticleFlags; None: ACTIVE.
 
-ValueError: lists of different lengths.)";
+ValueError: the lists have different lengths.)";
 
 inline constexpr char kAddParticle[] =
-    R"(Adds a particle at `pos` (m) with the velocity `vel` (m/s) and `mass` (kg; 0: kinematic).
-radius (m): None takes default_particle_radius. Returns the index.)";
+    R"(Adds a particle and returns its index.
+
+pos, vel: position (m) and velocity (m/s), world frame.
+mass: kg; 0: a kinematic particle.
+radius: m; None: default_particle_radius.
+flags: ParticleFlags.)";
 
 inline constexpr char kBoundMass[] =
-    R"(The least mass of dynamic bodies (kg, > 0). finalize raises masses but not 0, keeps the
-inertia, and warns. None: no bound.)";
+    R"(The least mass of dynamic bodies (kg, > 0); None: no bound. finalize sets a smaller mass to
+this bound, except 0, and gives a warning. The inertia is not changed.)";
 
 inline constexpr char kBoundInertia[] =
-    R"(The least principal moment of a body with a mass (kg*m^2, > 0). finalize adds what one lacks
-to all three, and warns. None: no bound.)";
+    R"(The least principal moment of inertia of bodies with a mass (kg*m^2, > 0); None: no bound. If
+a moment is smaller, finalize adds the difference to all three moments and gives a warning.)";
 
 inline constexpr char kBuilderJointQ[] =
-    R"(The initial joint coordinates, see JointType. The entries of a body of add_body follow body_q
-until they are set here.)";
+    R"(The initial joint coordinates (m, rad, quaternions), joint by joint. For a body of add_body,
+the coordinates are those of body_q unless they are set here.)";
 
 inline constexpr char kBeginWorld[] =
-    R"(Opens a world and returns its index. Additions until end_world belong to this world.
-Additions outside of worlds belong to all worlds (-1). Shapes collide within a world, and with the
-shapes of all worlds.
+    R"(Opens a new world and returns its index. All objects that are added until end_world belong to
+this world. Objects outside of worlds have the index -1 and belong to all worlds. A shape of a world
+collides with shapes of the same world and with shapes of all worlds.
 
 gravity: m/s^2, world frame; None: the builder's gravity.
 
-novaphy.Error: a world is open.)";
+novaphy.Error: another world is open.)";
+
+inline constexpr char kFinalize[] =
+    R"(Checks the scene and returns a Model. The builder is not changed and may be finalized again.
+
+device: the device of the model; None: the default device.
+requires_grad: whether states of the model require gradients.
+skip_validation: True: skip the checks and corrections of values, colors, masses and joints.
+
+novaphy.Error: the device is not available.
+ValueError: the scene is not valid.)";
 
 }  // namespace novaphy::python::doc

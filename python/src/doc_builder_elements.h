@@ -4,27 +4,32 @@
 namespace novaphy::python::doc {
 
 inline constexpr char kAddSpring[] =
-    R"(Adds a spring between two particles, at rest at their present distance. Returns the index.
+    R"(Adds a spring between two particles and returns its index. The rest length is the distance of
+the particles at the call.
 
+i, j: the indices of the particles.
 ke, kd: stiffness (N/m) and damping (N*s/m).
-control: stored; no force uses it.
-tension_only: a rope, which pulls where it is longer than at rest, and never pushes. SolverVBD and
-DiffSolverVBD step ropes; other solvers refuse them.
+control: a number that is stored; no force uses it.
+tension_only: True makes a rope, which pulls when it is longer than its rest length, and never
+pushes. SolverVBD and DiffSolverVBD support ropes. Other solvers raise an error for a rope.
 
-ValueError: both particles are in one place.)";
+ValueError: both particles have the same position.)";
 
 inline constexpr char kAddEdge[] =
-    R"(Adds a bending edge from k to l between the triangles (i, k, l) and (j, l, k). Returns the
-index.
+    R"(Adds a bending element on the edge from k to l between the triangles (i, k, l) and (j, l, k).
+Returns the index.
 
-i, j: the opposite corners; one of them may be -1.
-rest: the angle without a force (rad); None: the present angle.
+i, j: the particles opposite to the edge. One of the two may be -1 at a border.
+k, l: the particles of the edge.
+rest: the dihedral angle at which no force acts (rad). None: the angle at the call.
 edge_ke, edge_kd: bending stiffness (N/m^2) and damping (N*s/m^4); None: the builder's defaults.)";
 
 inline constexpr char kAddTriangle[] =
-    R"(Adds a triangle with counter-clockwise corners i, j, k. Returns its area (m^2).
+    R"(Adds a membrane triangle between three particles. Returns its area (m^2).
 
-tri_ke, tri_ka: stiffness of the membrane and of the area (N/m).
+i, j, k: the particles, counter-clockwise as seen from the front.
+tri_ke: membrane stiffness (N/m).
+tri_ka: area stiffness (N/m).
 tri_kd: damping (N*s/m).
 tri_drag, tri_lift: aerodynamic drag and lift (N*s^2/m^4).
 
@@ -33,52 +38,56 @@ None takes the builder's default, such as default_tri_ke.
 ValueError: the area is at most 1e-7 of the square of the longest edge.)";
 
 inline constexpr char kAddParticleGrid[] =
-    R"(Adds dim_x * dim_y * dim_z particles in a grid: y slowest, then x, then z.
+    R"(Adds dim_x * dim_y * dim_z particles on a grid. The index grows fastest along z, then along
+x, then along y.
 
 pos, rot: the pose of the grid's origin (m, xyzw).
 vel: the velocity of all particles (m/s).
 cell_x, cell_y, cell_z: the spacing of the particles (m).
 mass: the mass of one particle (kg).
-jitter: m; each coordinate moves at random by at most half of this.
-radius_mean, radius_std: the normal distribution of the radii (m).
-seed: the seed of jitter and radii.)";
+jitter: each coordinate of a particle gets a random offset of at most jitter / 2 (m).
+radius_mean, radius_std: mean and standard deviation of the normal distribution of radii (m).
+seed: the seed of offsets and radii.)";
 
 inline constexpr char kAddClothGrid[] =
-    R"(Adds a cloth of dim_x * dim_y cells, two triangles each, in the plane z = 0 of the pose.
+    R"(Adds a cloth of dim_x * dim_y cells, with two triangles per cell. The cloth lies in the plane
+z = 0 of the frame given by pos and rot.
 
 pos, rot: the pose of the grid's origin (m, xyzw).
 vel: the velocity of all particles (m/s).
 cell_x, cell_y: the size of a cell (m).
 mass: the mass of every particle (kg).
-reverse_winding: cuts each cell along the other diagonal.
-fix_left, fix_right: the ends of x get mass 0 and are not active.
-fix_bottom, fix_top: likewise the ends of y.
-add_springs: adds springs along the edges and across them.
-spring_ke, spring_kd: N/m and N*s/m. Other materials are those of add_triangle and add_edge.)";
+reverse_winding: True cuts each cell along the other diagonal.
+fix_left, fix_right: the particles at the smallest, or largest, x get mass 0 and are not ACTIVE.
+fix_bottom, fix_top: the same for the smallest, or largest, y.
+add_springs: adds springs along the edges of triangles, and across each edge.
+spring_ke, spring_kd: stiffness (N/m) and damping (N*s/m) of the springs.
+tri_ke, ...: see add_triangle. edge_ke, edge_kd: see add_edge.)";
 
 inline constexpr char kAddSoftGrid[] =
-    R"(Adds a block of dim_x * dim_y * dim_z cells, five tetrahedra each, with triangles and
-bending edges on the surface.
+    R"(Adds a soft block of dim_x * dim_y * dim_z cells with five tetrahedra per cell. The surface
+gets triangles and bending edges.
 
 pos, rot: the pose of the grid's origin (m, xyzw).
 vel: the velocity of all particles (m/s).
 cell_x, cell_y, cell_z: the size of a cell (m).
-density: kg/m^3. Every particle has the mass of one cell.
-fix_left, fix_right: the ends of x get mass 0.
-fix_bottom, fix_top: likewise the ends of y.
+density: kg/m^3. Every particle has the mass of one full cell.
+fix_left, fix_right: the particles at the smallest, or largest, x get mass 0.
+fix_bottom, fix_top: the same for the smallest, or largest, y.
 
-Materials are those of add_tetrahedron, add_triangle and add_edge.)";
+For the materials see add_tetrahedron, add_triangle and add_edge.)";
 
 inline constexpr char kAddClothMesh[] =
     R"(Adds a cloth from a triangle mesh.
 
 pos, rot: the pose of the mesh's origin (m, xyzw).
-scale: a factor of the vertices.
+scale: a factor for the vertices.
 vel: the velocity of all particles (m/s).
-vertices, indices: arrays of shape (n, 3) (m) and (m, 3), or flat arrays.
+vertices: positions (n, 3) (m), or a flat array.
+indices: the vertices of the triangles (m, 3), or a flat array.
 density: kg/m^2. Each corner gets a third of the mass of its triangle.
 
-Other arguments are those of add_cloth_grid.
+For the other arguments see add_cloth_grid.
 
 ValueError: the mesh is empty, a vertex belongs to no triangle, a triangle is degenerate, or more
 than two triangles share an edge.)";
@@ -87,58 +96,72 @@ inline constexpr char kAddSoftMesh[] =
     R"(Adds a soft body from a tetrahedral mesh.
 
 pos, rot: the pose of the mesh's origin (m, xyzw).
-scale: a factor of the vertices.
+scale: a factor for the vertices.
 vel: the velocity of all particles (m/s).
-vertices, indices: arrays of shape (n, 3) (m) and (m, 4), or flat arrays.
-mesh: an object that replaces both, with the attributes vertices, indices, density, k_mu, k_lambda
-and k_damp.
+vertices: positions (n, 3) (m), or a flat array.
+indices: the vertices of the tetrahedra (m, 4), or a flat array.
+mesh: an object with the attributes vertices and indices, and optionally density, k_mu, k_lambda and
+k_damp. The attributes replace arguments that are None.
 density: kg/m^3. Each corner gets a quarter of the mass of its tetrahedron.
-k_mu, k_lambda (Pa), k_damp (Pa*s): one number, or one number for each tetrahedron.
-The materials of the surface are those of add_triangle and add_edge.
+k_mu, k_lambda: Lame parameters (Pa), one number or one number for each tetrahedron.
+k_damp: damping (Pa*s), one number or one number for each tetrahedron.
+tri_ke, ..., edge_kd: the materials of the surface, see add_triangle and add_edge.
 
 ValueError: the mesh is empty, a vertex belongs to no tetrahedron, a tetrahedron is degenerate or
 inverted, or more than two tetrahedra share a face.)";
 
 inline constexpr char kColor[] =
-    R"(Colors the particles for SolverVBD, so that the particles of an element have different
-colors. Call it after the elements are added. Elements are springs, triangles, tetrahedra and
+    R"(Divides the particles into colors for SolverVBD: particles of the same element get different
+colors. Call color after all elements are added. Elements are springs, triangles, tetrahedra and
 bending edges.
 
-include_bending: None or True: bending edges with a stiffness or damping count. False: the corners
-of a bending edge may share a color, with which a stiff edge converges badly or not at all.
-balance_colors: moves particles between colors until all are about equally large.)";
+include_bending: None or True: particles of a bending edge with a stiffness or damping get different
+colors. False: they may share a color, but then a stiff edge converges slowly or not at all.
+balance_colors: moves particles between colors until all colors have about the same size.)";
 
 inline constexpr char kAddShapeMesh[] =
-    R"(Adds a surface of triangles. Returns the index. Vertices in one place count as one. Contacts
-with bodies are found on the CPU.
+    R"(Adds a triangle mesh as a shape and returns its index. Vertices at the same position are
+merged. Contacts of a mesh with other shapes are found on the CPU only.
 
-vertices, indices: arrays of shape (n, 3) (m) and (m, 3), or flat. The corners are counter-clockwise
-as seen from outside.
-mesh: an object with these two as attributes.
-scale: a number or three, > 0.
+vertices: positions (n, 3) (m), or a flat array.
+indices: the vertices of the triangles (m, 3), or a flat array, counter-clockwise as seen from
+outside.
+mesh: an object with the attributes vertices and indices, used in their place.
+scale: one factor, or a factor for each of x, y and z, > 0.
 
-A surface on a body, with a density, must be closed. Its mass is an integral in double precision. A
-shell (cfg.is_solid False) has a wall of cfg.margin inside.
+On a body, a mesh with a density > 0 must be closed, because the mass is the integral over its
+volume. With cfg.is_solid=False the mass is that of a shell, whose wall of thickness cfg.margin is
+inside of the surface.
 
-ValueError: no triangle, a corner twice, not finite, open or inside out.)";
+ValueError: the mesh has no triangle, a triangle has a corner twice, or a position is not finite.
+ValueError: a mesh that needs a mass is open or inside out.)";
 
 inline constexpr char kAddShapeHull[] =
-    R"(Adds the convex hull of points. Returns the index.
+    R"(Adds the convex hull of points as a shape and returns its index.
 
-vertices: an array of shape (n, 3) (m). mesh: an object with this attribute.
-scale: a number or three, > 0.
-max_vertices: 4 to 64; the hull keeps at most so many, the farthest ones. The mass is that of the
-hull of all points, which is a little larger.
+vertices: positions (n, 3) (m).
+mesh: an object with the attribute vertices, used in its place.
+scale: one factor, or a factor for each of x, y and z, > 0.
+max_vertices: 4 to 64. A hull with more vertices keeps only this many, the farthest ones. The mass
+is that of the hull of all points, which is a little larger.
 
-ValueError: fewer than 4 points, points in one plane, also once they are scaled, not finite.)";
+ValueError: there are fewer than 4 points, all points are in one plane, or a position is not
+finite.)";
 
 inline constexpr char kAddTet[] =
-    R"(Adds a tetrahedron with the Lame parameters k_mu, k_lambda (Pa) and the damping k_damp
-(Pa*s). Returns its volume (m^3). ValueError: the volume is at most 1e-7 of the cube of the longest
-edge, or the tetrahedron is inverted.)";
+    R"(Adds a tetrahedron between the particles i, j, k and l. Returns its volume (m^3).
+
+k_mu, k_lambda: Lame parameters (Pa); None: the builder's defaults, such as default_tet_k_mu.
+k_damp: damping (Pa*s); None: default_tet_k_damp.
+
+ValueError: the volume is at most 1e-7 of the cube of the longest edge, or the tetrahedron is
+inverted.)";
 
 inline constexpr char kAddTriangles[] =
-    R"(Adds many triangles from three lists of particles. A material of add_triangle is one number,
-or a list with one number for each triangle. Returns the areas (m^2).)";
+    R"(Adds n triangles and returns their areas {n} (m^2).
+
+i, j, k: lists {n} of particles.
+tri_ke, ...: the materials of add_triangle, each one number, or a list with a number per
+triangle.)";
 
 }  // namespace novaphy::python::doc

@@ -4,76 +4,88 @@
 namespace novaphy::python::doc {
 
 inline constexpr char kAddJoint[] =
-    R"(Adds a joint of a JointType between a parent body (-1: the world) and a child. Returns the
-index.
+    R"(Adds a joint of a JointType between a parent body (-1: the world) and a child body. Returns
+the index of the joint.
 
-parent_xform, child_xform: the joint frames in the bodies (m, xyzw).
-linear_axes, angular_axes: lists of JointDofConfig. A D6 takes up to three of each, a REVOLUTE or
-PRISMATIC joint takes one, and a PLANAR joint takes two perpendicular ones and their cross product.
+parent_xform: the pose of the joint frame in the parent's frame (m, quaternion xyzw).
+child_xform: the pose of the joint frame in the child's frame (m, quaternion xyzw).
+linear_axes, angular_axes: lists of JointDofConfig. A D6 joint takes up to three axes in each list.
+A REVOLUTE joint takes one angular axis, a PRISMATIC joint one linear axis. A PLANAR joint takes two
+perpendicular linear axes, and their cross product as angular axis.
 
-ValueError: a bad pose, axis or number, bodies of two worlds.
-IndexError: no such body.)";
+ValueError: a pose, axis or number is not valid, or the bodies are in two worlds.
+IndexError: a body does not exist.)";
 
 inline constexpr char kAddPlanar[] =
-    R"(Adds a joint with three coordinates: x and y (m) in a plane, and an angle (rad) about its
-normal. Returns the index.
+    R"(Adds a joint with three coordinates: x and y (m) in a plane, and an angle (rad) about the
+normal of the plane. Returns the index.
 
-axis: the normal (an Axis or a vector, joint frame of the parent); None: Z. The plane of Z has the
-axes x and y of that frame. For another normal, the shortest rotation from Z to the normal carries
-x and y along.
-x, y, angle: JointDofConfig of the drives, limits and damping; None: default_joint_cfg. Their axes
-are not used.
+axis: the normal of the plane (an Axis or a vector, in the parent's joint frame); None: Z. For the
+normal Z, the coordinates x and y are along the axes x and y of the frame. For another normal, these
+two directions are rotated by the shortest rotation from Z to the normal.
+x, y, angle: JointDofConfigs with drives, limits and damping; None: default_joint_cfg. The axes in
+the JointDofConfigs are not used.
 
-The rates are the derivatives of the coordinates. The directions of x and y do not turn with the
-child.)";
+The joint rates are the time derivatives of the coordinates. The directions of x and y are fixed in
+the parent.)";
 
 inline constexpr char kAddActuator[] =
-    R"(Adds an actuator of a degree of freedom of a joint with axes. Returns the
-index, which is the row of Control.ctrl.
+    R"(Adds an actuator that drives one degree of freedom of a joint. Returns the index, which is
+the row of Control.ctrl.
 
-The length l and the rate v of the actuator are those of the joint times gear. The force is
-(gain[0] + gain[1] l + gain[2] v) c + bias[0] + bias[1] l + bias[2] v, clipped to force_range. The
-joint feels gear times the force. c is the control, clipped to ctrl_range; with an ActuatorDynamics
-c is the activation.
+The law is MuJoCo's. The actuator has the length l = gear q and the rate v = gear qd, with the
+joint's position q and rate qd. The force is (gain[0] + gain[1] l + gain[2] v) c + bias[0] + bias[1]
+l + bias[2] v, clipped to force_range. The force on the joint is gear times this force. The input c
+is the control, clipped to ctrl_range. With an ActuatorDynamics, c is the activation.
 
-gain, bias: the defaults make a motor. A servo of the position has gain (kp, 0, 0) and bias
-(0, -kp, -kv). A servo of the velocity has gain (kv, 0, 0) and bias (0, 0, -kv).
-ctrl, act: the initial values of a control and of a state.)";
+axis: the number of the degree of freedom in the joint.
+gear: the factor between joint and actuator.
+gain, bias: three numbers each; the defaults make a motor. A position servo has gain (kp, 0, 0) and
+bias (0, -kp, -kv). A velocity servo has gain (kv, 0, 0) and bias (0, 0, -kv).
+dynamics, time: the ActuatorDynamics and its time constant (s).
+ctrl_range, force_range, act_range: (low, high); None: no limit.
+ctrl, act: the initial control and the initial activation.)";
 
 inline constexpr char kAddBodyActuator[] =
-    R"(Adds an actuator of a body. Returns the index, which is the row of Control.ctrl.
+    R"(Adds an actuator that applies a force and a moment to a body. Returns the index, which is the
+row of Control.ctrl.
 
-The force law is that of add_actuator. The force acts at the origin of frame, a frame of the body.
-wrench: the force and the moment (m) of a force of 1, in the axes of frame. The length l is 0, and
-the rate v is the rate along the wrench.
+The scalar force f follows the law of add_actuator. The body gets f times wrench.
 
-reference_body: -1 is the world. The wrench then has the axes of reference, a frame of that body,
-and the opposite wrench acts there. l and v are those of frame relative to reference. Joints that
-carry both bodies feel nothing.
+wrench: force (1) and moment (m) per unit of f, in the axes of frame, at the origin of frame.
+frame: the pose (m, quaternion xyzw) of the frame in the body frame. None: the body frame.
+reference_body: a body (-1: the world) that gets the opposite wrench. None: no body gets one.
+reference: the pose (m, quaternion xyzw) of a frame in the frame of reference_body.
 
-The force of the start of a step acts through the step.)";
+Without a reference_body, the length l is 0 and the rate v is the body's velocity along the wrench.
+With a reference_body, the wrench has the axes of reference, and l and v are the position and the
+velocity of frame relative to reference. Joints that carry both bodies get no force.
+
+The force is computed at the start of a step and constant over the step.)";
 
 inline constexpr char kAddMimic[] =
-    R"(Makes joint0 follow joint1: q0 = coef0 + coef1 q1 (m or rad), exactly, at the end of every
-step of an articulation.
+    R"(Makes joint0 a mimic joint of joint1: q0 = coef0 + coef1 q1 (m or rad). The equation holds
+exactly at the end of every step of an articulation.
 
-Both are REVOLUTE or PRISMATIC joints of one articulation. A joint that follows another may lead a
-third one. Drives, limits, forces and inertia of joint0 act on joint1; its velocity limit does not.
-Solvers without articulations raise NotImplementedError.
+Both joints are REVOLUTE or PRISMATIC joints of the same articulation. A mimic joint may itself have
+mimic joints. Drives, limits, forces and inertia of joint0 act on joint1. The velocity limit of
+joint0 has no effect. Solvers without articulations raise NotImplementedError.
 
-IndexError: no such joint.
-ValueError: another type, a second leader, a cycle.)";
+IndexError: a joint does not exist.
+ValueError: a joint has another type, joint0 already has a leader, or the joints form a cycle.)";
 
 inline constexpr char kCollapse[] =
-    R"(Merges the child of every enabled FIXED joint into the parent: mass, shapes, joints.
+    R"(Removes enabled FIXED joints: the child body is merged into the parent body, which gets the
+mass, the shapes and the joints of the child.
 
-Joints with a label in joints_to_keep stay. Other joints stay too if the child has another joint to
-a parent, or is kinematic under a body. A root with more than one child stays.
+A FIXED joint is kept if its label is in joints_to_keep, if the child has a second parent joint, or
+if gravcomp of child and parent differ.
+A joint between a body and a kinematic child is kept. The root joint of an articulation is kept if
+the root body has more than one child.
 
-Returns four dicts:
-body_remap, joint_remap: the new index by the old one, for the bodies and joints that remain.
-body_merged_parent: the new index of the body that took in a merged one, by the old index of the
-merged one; -1: the world.
-body_merged_transform: the pose of the merged body there (xyz and xyzw).)";
+Returns a dict of four dicts, whose keys are indices before the call:
+body_remap, joint_remap: the new index of each body or joint that remains.
+body_merged_parent: for each merged body, the new index of the body that contains it; -1: the world.
+body_merged_transform: for each merged body, its pose in that body (m, quaternion xyzw).)";
 
 }  // namespace novaphy::python::doc

@@ -4,49 +4,55 @@
 namespace novaphy::python::doc {
 
 inline constexpr char kSensitivity[] =
-    R"(Computes how an articulation of SolverFeatherstone, and a point of it, change with parameters
-of the control.
+    R"(Computes the derivatives of an articulation's coordinates, and of a point on the
+articulation, by parameters of its control, along the steps of SolverFeatherstone (forward
+sensitivity).
 
-The derivative is 0 at reset. Each step carries it through the mass matrix, the implicit response of
-drives and the point's Jacobian. The parameters may be anything: key poses, a spline, gains, a
-network. The parameters enter by dcontrol, the change of the control with them. If the control
-depends on the state, add that part to dcontrol by dq and dqd.
+The derivatives are 0 at reset. Each call of step advances them by one step. The parameters may be
+anything that the control depends on: key poses, a spline, gains, a network. The caller gives
+dcontrol, the derivative of the control by the parameters. If the control also depends on the state,
+dcontrol has to include that part, which follows from dq and dqd.
 
-gradient: "exact", or "frozen": mass matrix, bias (with the stiffness of gravity), wrenches and the
-turning of the point's Jacobian are not differentiated.
+The label says how exact the derivatives are. "exact": all terms are differentiated. "frozen": the
+mass matrix, the bias forces with gravity, external wrenches and the rotation of the point's
+Jacobian count as constants.
 
-Joints are FIXED, PRISMATIC, REVOLUTE, and for kind "torque" a FREE root. NotImplementedError: other
-joints.)";
+Supported joints are FIXED, PRISMATIC, REVOLUTE, and for kind "torque" a FREE root.
+NotImplementedError: other joints.)";
 
 inline constexpr char kSensitivityInit[] =
-    R"(Starts with a derivative of 0.
+    R"(Makes the sensitivity of an articulation, with derivatives of 0.
 
 articulation: the index of the articulation.
 parameter_count: the number of parameters.
-point_body, point_local: a body of the articulation, and a point in its frame (m).
-kind: "position": dcontrol is the change of joint_target_q. "torque": of joint_f.
-exact: True by default, and False ("frozen") with contact_projection.
-solver: the solver that steps, whose options count; None: the default options.
-contact_projection: changes of rates keep to the null space of the normals of the contacts that
-push, which step takes. Normals, points, friction and the set of pushing contacts are frozen.
+point_body, point_local: a body of the articulation, and a point in the body's frame (m).
+kind: "position": dcontrol is the derivative of joint_target_q. "torque": the derivative of joint_f.
+exact: True: the label is "exact". False: the label is "frozen". None: True, unless
+contact_projection is True.
+solver: the SolverFeatherstone of the steps, whose options are used; None: the default options.
+contact_projection: True: the derivative of the rates is projected onto the null space of the
+normals of pushing contacts, which step gets. Normals, points, friction and the set of pushing
+contacts count as constants.
 
 NotImplementedError: contact_projection with exact.
 ValueError: contact_projection with a solver without contact "pgs".)";
 
 inline constexpr char kSensitivityStep[] =
-    R"(Carries the derivative over the solver's step from state_in to state_out, with the step's
-control and dt (s). Call it after the step.
+    R"(Advances the derivatives over a step of the solver. Call step after the solver's step.
 
-dcontrol: {dofs, parameters}, the change of joint_target_q (or joint_f) per unit of each parameter.
-dtarget_qd: likewise of joint_target_qd.
-contacts: with contact_projection, those of the step, with the rigid_contact_force that it wrote.
+state_in, state_out: the states before and after the solver's step.
+control, dt: the control and the length (s) of the solver's step.
+dcontrol: {dofs, parameters}, the derivative of joint_target_q (or joint_f) by the parameters.
+dtarget_qd: {dofs, parameters}, the derivative of joint_target_qd; None: 0.
+contacts: with contact_projection, the contacts of the step, with their rigid_contact_force.
 
-Nothing has changed after an error:
-ValueError: another shape, numbers that are not finite, a change of a target that no drive follows,
-contacts without contact_projection.
-NotImplementedError: a contact that pushes another articulation too.
-IndexError: contacts of shapes that do not exist.
-`novaphy.Error`: a state_in in which the last step did not end.
-`novaphy.Error`: a state_out that this step does not give: another solver, control, dt or contacts.)";
+An error leaves the derivatives unchanged:
+ValueError: an array has a wrong shape or a value that is not finite, a target changes that no drive
+follows, or contacts are given without contact_projection.
+NotImplementedError: a contact pushes another articulation too.
+IndexError: a contact has a shape that does not exist.
+`novaphy.Error`: state_in is not the state in which the last step (or reset) ended.
+`novaphy.Error`: state_out differs from the result of the step, because of another solver, control,
+dt or contacts.)";
 
 }  // namespace novaphy::python::doc

@@ -6,24 +6,25 @@ namespace novaphy::python::doc {
 inline constexpr char kGradientInfo[] =
     R"(Reports how exact a solver's gradients are. Each field is an attribute and a key.
 
-label: the worst label of the steps:
-  "exact of the motion": the times of events move with the state too (contact_gradient="motion").
-  "exact of the code": the derivative of what each step computes, with the contacts that it has.
+label: the worst of the labels of all steps, from best to worst:
+
+  "exact of the motion": the derivative also moves the times of events (contact_gradient="motion").
+  "exact of the code": the derivative of the computed steps, with the contacts that each step has.
   "implicit": the derivative of the solutions of the steps (DiffSolverVBD).
-  "frozen": contacts push whose points or normals are frozen.
-  "surrogate": the contact solve missed its law by more than 1e-3 of the largest impulse, or a law
-  jumps.
 
-With contact_gradient="motion" a gradient is a "surrogate" too if times of events move, but the
-gradient may differ from that of the motion.
+  "frozen": the derivative keeps points or normals of pushing contacts constant.
+  "surrogate": the contact solver missed the contact law by more than 1e-3 of the largest impulse,
+or
+  a contact law has a jump. With contact_gradient="motion": the times of events move, but the
+  gradient may differ from that of the motion.
 
-reason: the cause of the label and its consequence, with step and pair.
-steps: exact_steps + frozen_steps + surrogate_steps. exact_steps includes implicit steps.
-events: began + ended + turned, between two consecutive steps: contacts that began or ended to push,
-or changed between sticking and slipping.
-residual: the largest of the steps, relative to the impulses.
+reason: a sentence with the cause of the label and its consequence, with step and pair.
+steps: the number of steps: exact_steps + frozen_steps + surrogate_steps.
+events: the number of events: began + ended + turned. An event is a change from one step to the
+next: a contact begins or ceases to push, or changes between sticking and slipping.
+residual: the largest residual of a step, relative to the largest impulse (1).
 
-A gradient that is exact of the code does not move events in time. With events it may differ from
-the gradient of the motion, also in sign. Solvers add fields of their own.)";
+A gradient that is "exact of the code" does not move events in time. With events it may differ from
+the gradient of the motion, even in sign. Solvers add further fields.)";
 
 }  // namespace novaphy::python::doc

@@ -10,8 +10,8 @@
 namespace novaphy::python {
 namespace {
 
-// Exposes bytes through Python's buffer protocol and keeps their storage alive: the owner of a
-// NumPy alias.
+// Exposes memory through Python's buffer protocol and keeps the storage alive. A NumPy array over
+// the engine's memory has such an object as its base.
 struct HostBuffer {
   std::shared_ptr<Range> range;
   std::vector<int64_t> shape;
@@ -39,7 +39,7 @@ void report_host_read(const char* what) {
   if (ArrayObserver* observer = array_observer()) observer->host_read(what);
 }
 
-// Prepares memory for direct reads by the host.
+// Prepares memory for direct access by the host. ErrorKind::Runtime: it is memory of a device.
 void open_to_host(const View& view, const char* what) {
   report_host_read(what);
   if (view.range == nullptr) return;
@@ -55,7 +55,7 @@ std::vector<int64_t> without_ones(const std::vector<int64_t>& shape) {
   return result;
 }
 
-// Returns whether NumPy takes the object for an array. NumPy's own scalars count as numbers.
+// Returns whether NumPy treats the object as an array. NumPy's scalars count as numbers.
 bool is_array_like(py::handle source) {
   return PyObject_HasAttrString(source.ptr(), "__array__") != 0 &&
          !py::isinstance(source, numpy().generic);
@@ -76,7 +76,7 @@ bool is_row_index(py::handle index) {
          (PyIndex_Check(index.ptr()) && !PySequence_Check(index.ptr()));
 }
 
-// Checks a row index. NumPy's own message would say "axis 0"; this one says rows.
+// Checks a row index, so that errors speak of rows. NumPy's messages would speak of "axis 0".
 py::object checked_index(const View& view, py::handle index) {
   require(is_row_index(index), ErrorKind::Type,
           "index: expected an integer or a slice of rows, got ", type_name(index));
@@ -201,7 +201,8 @@ py::dict cuda_array_interface(const View& view) {
   report_host_read("__cuda_array_interface__");
   synchronize(view.device());
   const auto address = reinterpret_cast<uintptr_t>(view.range->data());
-  // Consumers ignore the protocol's read-only flag or refuse memory that carries it.
+  // Consumers ignore the read-only flag of the protocol, or reject read-only memory. The memory is
+  // therefore exported as writable.
   view.range->mark_writable_export();
   return py::dict("version"_a = 3, "shape"_a = shape_tuple(view.shape),
                   "typestr"_a = type_string(view.scalar), "data"_a = py::make_tuple(address, false),
@@ -210,7 +211,7 @@ py::dict cuda_array_interface(const View& view) {
 
 namespace {
 
-// Refuses a source with a gradient, because no tape records this copy.
+// Raises an error if the source requires a gradient, because no tape records this copy.
 void refuse_gradient([[maybe_unused]] py::handle source, [[maybe_unused]] const char* what) {
 #ifdef NOVAPHY_PYTHON_DIFF
   const nova::Tape* const tape = nova::Tape::active();
@@ -242,7 +243,7 @@ py::object host_values(py::handle source, Scalar scalar, const char* what) {
   if (given.equal(wanted)) return np.asarray(array, "order"_a = "C");
   const std::string kind = py::str(given.attr("kind")), given_name = py::str(given);
   const bool integers = kind == "i" || kind == "u" || kind == "b";
-  // NumPy makes float64 of an empty list.
+  // NumPy gives an empty list the type float64.
   if (array.attr("size").cast<int64_t>() == 0 && !is_array)
     return np.empty(array.attr("shape"), wanted);
   bool ok = scalar == Scalar::F32 && (kind == "f" || integers);  // values are rounded

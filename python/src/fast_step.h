@@ -1,6 +1,6 @@
-// solver.step as a plain C function. A Python loop calls it in every substep, and pybind11's
-// argument conversion costs more than the step of a small model. Calls with other arguments than
-// five positional ones of the engine's own classes use the general binding.
+// solver.step as a plain C function, because pybind11's argument conversion costs more than the
+// step of a small model. The fast path takes five positional arguments of the engine's own classes.
+// All other calls use the general binding of pybind11.
 #pragma once
 
 #include <exception>
@@ -18,7 +18,7 @@ namespace novaphy::python {
 // Sets the Python error that pybind11 would raise for a C++ exception.
 void set_python_error(const std::exception_ptr& error);
 
-// Returns the C++ object in an instance of exactly the bound class T, or null for any other object.
+// Finds the C++ object in an instance of exactly the bound class T; null for any other object.
 template <class T>
 struct BoundClass {
   static inline PyTypeObject* type = nullptr;
@@ -75,7 +75,7 @@ PyObject* fast_step(PyObject* self, PyObject* const* args, Py_ssize_t count, PyO
   Py_RETURN_NONE;
 }
 
-// Gives a solver class the fast step.
+// Replaces the method `step` of a solver class by the fast one.
 template <class Solver, class... Options>
 void add_fast_step(py::class_<Solver, Options...>& cls) {
   static_assert(std::is_base_of_v<SolverBase, Solver>);

@@ -1,4 +1,5 @@
-// Properties for the array fields of Model, SimState, Control and Contacts, from their field lists.
+// Binds the array fields of Model, SimState, Control and Contacts as Python properties, from the
+// lists of fields.
 #pragma once
 
 #include <string>
@@ -10,18 +11,18 @@ namespace novaphy::python {
 
 void assign_array(Array& array, py::handle source);  // DeviceArray.assign
 
-// "vec3 {particle_count}, m, world: initial positions. ..."
+// Returns the docstring of a field, such as "vec3 {particle_count}, m, world frame: ...".
 inline std::string field_doc(const FieldInfo& info) {
   std::string doc = std::string(dtype_info(info.dtype).name) + " {" + std::string(info.count_name) +
                     (info.width != 1 ? ", " + std::to_string(info.width) : "") + "}";
   if (!info.unit.empty()) doc += ", " + std::string(info.unit);
   if (!info.frame.empty()) doc += ", " + std::string(info.frame) + " frame";
   return doc + ": " + std::string(info.doc) +
-         ". Reading gives the array itself; assigning copies values into it.";
+         ". A read returns the array itself. An assignment copies values into the array.";
 }
 
-// A read returns a DeviceArray over the same memory. An assignment copies values into the same
-// array.
+// Binds a field. A read returns a DeviceArray over the same memory. An assignment copies values
+// into the array.
 template <class Class, class Owner, class T>
 void bind_field(Class& c, const FieldInfo& info, DeviceArray<T> Owner::*member,
                 const char* name = nullptr) {

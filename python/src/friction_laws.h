@@ -1,4 +1,4 @@
-// The names of the laws of rigid contacts.
+// The names of friction_law and penalty_law for rigid contacts, and their properties.
 #pragma once
 
 #include <string>
@@ -40,18 +40,18 @@ inline const char* penalty_law_name(PenaltyLaw law) {
   return law == PenaltyLaw::Mean ? "mean" : "sampled";
 }
 
-// Binds the laws of a solver, from its options().
+// Binds friction_law and penalty_law of a solver as read-only properties.
 template <class Solver>
 void add_contact_laws(Solver& of) {
   using Type = typename Solver::type;
   of.def_property_readonly(
       "friction_law", [](const Type& s) { return friction_law_name(s.options().friction_law); },
-      "\"viscous\", \"huber\", \"newton17\" or \"newton18\".");
+      "The friction law: \"viscous\", \"huber\", \"newton17\" or \"newton18\".");
   of.def_property_readonly(
       "penalty_law", [](const Type& s) { return penalty_law_name(s.options().penalty_law); },
-      "\"sampled\" or \"mean\".");
+      "The law of penalty contacts: \"sampled\" or \"mean\".");
 }
-// Binds the laws of settings. set(settings, name, member, value) writes one of them.
+// Binds friction_law and penalty_law of settings. set(settings, name, member, value) assigns one.
 template <class Settings, class Set>
 void add_contact_laws(Settings& of, const Set& set) {
   using Type = typename Settings::type;
@@ -60,15 +60,15 @@ void add_contact_laws(Settings& of, const Set& set) {
       [set](Type& s, const std::string& law) {
         set(s, "friction_law", &Type::friction_law, to_friction_law(law));
       },
-      "For contacts of bodies: \"viscous\" or \"huber\", as in SolverSemiImplicit. \"newton17\" "
-      "and \"newton18\" have no gradient and are refused.");
+      "The friction law of contacts of bodies: \"viscous\" or \"huber\", see SolverSemiImplicit. "
+      "\"newton17\" and \"newton18\" have no gradient and raise an error.");
   of.def_property(
       "penalty_law", [](const Type& s) { return penalty_law_name(s.penalty_law); },
       [set](Type& s, const std::string& law) {
         set(s, "penalty_law", &Type::penalty_law, to_penalty_law(law));
       },
-      "For contacts of bodies: \"sampled\" or \"mean\", as in SolverSemiImplicit. The gradient of "
-      "\"mean\" is that of the motion.");
+      "The law of penalty contacts of bodies: \"sampled\" or \"mean\", see SolverSemiImplicit. The "
+      "gradient of \"mean\" is that of the motion.");
 }
 
 }  // namespace novaphy::python

@@ -7,7 +7,7 @@ namespace py = pybind11;
 
 namespace {
 std::atomic<int> g_released{0};  // threads that compute without the GIL
-// the thread that ends the interpreter; guarded by the GIL
+// The thread that ends the interpreter; 0: the interpreter runs. Written with the GIL.
 std::atomic<unsigned long> g_exiting{0};
 }  // namespace
 
@@ -33,7 +33,7 @@ void wait_at_exit() {
     PyEval_RestoreThread(thread);
   });
   py::module_::import("atexit").attr("register")(wait);
-  // In the child process only the forking thread exists.
+  // After a fork, the child process has only the thread that called fork.
   const py::cpp_function forked([] { g_released = 0; });
   py::module_::import("os").attr("register_at_fork")(py::arg("after_in_child") = forked);
 }

@@ -1,14 +1,14 @@
-// ReleasedGil: other Python threads run while the engine computes.
+// ReleasedGil releases Python's GIL, so that other Python threads run while the engine computes.
 #pragma once
 
 #include <pybind11/pybind11.h>
 
 namespace novaphy::python {
 
-// pybind11's own class takes the GIL back in a destructor. While the interpreter ends, Python
-// unwinds a daemon thread that asks for the GIL. An unwind out of a destructor calls
-// std::terminate. The exit therefore waits for threads that compute, and later threads keep the
-// GIL.
+// pybind11's class gil_scoped_release takes the GIL back in its destructor. When the interpreter
+// ends, Python unwinds the stack of a daemon thread that asks for the GIL. An unwind out of a
+// destructor calls std::terminate. Therefore the exit of Python waits for threads that compute, and
+// threads that start later keep the GIL.
 class ReleasedGil {
  public:
   ReleasedGil();
@@ -21,7 +21,7 @@ class ReleasedGil {
 };
 using release_gil = pybind11::call_guard<ReleasedGil>;
 
-bool exit_waits_for_me();  // long work of this thread should then end
-void wait_at_exit();       // registers the wait
+bool exit_waits_for_me();  // whether Python's exit waits for this thread, so long work should end
+void wait_at_exit();       // makes Python's exit wait for threads that compute
 
 }  // namespace novaphy::python

@@ -1,4 +1,4 @@
-// GradientInfo in Python: the fields of all solvers, and those of one solver.
+// GradientInfo in Python: the fields that all solvers have, and additional fields of one solver.
 #pragma once
 
 #include <pybind11/pybind11.h>
@@ -7,11 +7,11 @@
 
 namespace novaphy::python {
 
-// Each field is an attribute and a key.
+// The Python object GradientInfo, in which each field is an attribute and a key.
 struct GradientInfoFields {
   pybind11::dict fields;
 };
-// Returns the fields. `more`: additional fields of one solver, with other names.
+// Returns the Python object. `more` has additional fields of one solver, with other names.
 GradientInfoFields to_fields(const GradientInfo& info, const pybind11::dict& more = {});
 
 // Reads "code" or "motion". ErrorKind::Value: another name.

@@ -1,5 +1,5 @@
-// The module novaphy._core: errors, signals, and the parts in the order in which they need each
-// other.
+// The module novaphy._core: errors, signals, build information, and calls of the bind_ functions.
+// The order of the calls matters, because bindings need classes of earlier ones.
 #include <new>
 
 #include "fast_step.h"
@@ -33,7 +33,7 @@ PyObject* python_type(ErrorKind kind) {
   return error_type;
 }
 
-// Sets a Python error. A path or a file may bring bytes that are not UTF-8 into the message.
+// Sets a Python error. Bytes of the text that are not UTF-8, for example from a path, are replaced.
 void raise(PyObject* type, std::string_view text) {
   const auto size = static_cast<Py_ssize_t>(text.size());
   const auto message =
@@ -62,13 +62,13 @@ void make_warning(const std::string& text) {
   if (PyErr_WarnEx(PyExc_RuntimeWarning, text.c_str(), 1) != 0) throw py::error_already_set();
 }
 
-// Handles Ctrl-C in a long native loop. Python runs its signal handlers on its main thread only. On
-// other threads the function ends work that the exit of the interpreter waits for.
+// Handles Ctrl-C in a long native loop: throws if a signal handler raised, on Python's main thread.
+// On other threads it throws if the exit of the interpreter waits for this thread, to end the work.
 void check_signals() {
   if (!Py_IsInitialized()) return;
   const py::gil_scoped_acquire gil;
   if (PyErr_CheckSignals() != 0) throw py::error_already_set();
-  if (exit_waits_for_me()) {  // Python ends a thread silently on this exception
+  if (exit_waits_for_me()) {  // SystemExit ends a thread without a message
     PyErr_SetNone(PyExc_SystemExit);
     throw py::error_already_set();
   }
@@ -95,7 +95,7 @@ void bind_build(py::module_& m) {
         for (const auto& [name, on] : kBuildInfo) info[name] = on;
         return info;
       },
-      "Returns a dict of the CMake options of this build: name to bool.");
+      "Returns a dict of the CMake options of this build: name -> bool.");
   m.def(
       "has_cuda", [] { return device_available(Device::cuda()); },
       "Returns whether a CUDA device is available.");
@@ -110,11 +110,11 @@ void bind_build(py::module_& m) {
       "Returns whether the VBD solver is built.");
   m.def(
       "has_nvrtc", [] { return built_with("NOVA_ENABLE_NVRTC"); },
-      "Whether run-time compilation is built.");
-  m.def("num_threads", &num_threads, "Returns the number of threads that parallel work uses.");
+      "Returns whether run-time compilation of kernels (NVRTC) is built.");
+  m.def("num_threads", &num_threads, "Returns the number of CPU threads that the engine uses.");
   m.def("set_num_threads", &set_num_threads, "count"_a, release_gil(),
-        "Sets the number of threads, 1 to 1024 (else ValueError). Results do not depend on the "
-        "number.");
+        "Sets the number of CPU threads that the engine uses, 1 to 1024 (else ValueError). The "
+        "bits of results do not depend on this number.");
 }
 
 }  // namespace

@@ -1,4 +1,4 @@
-// A new state of a model.
+// new_state: makes a SimState of a model for Python.
 #pragma once
 
 #include <optional>
@@ -10,8 +10,8 @@
 
 namespace novaphy::python {
 
-// Returns a new state. With gradients the values become leaves before an operation on a tape reads
-// them.
+// Returns a new state with the model's initial values. If it requires gradients, its positions and
+// velocities become leaves before a recorded operation reads them.
 inline SimState new_state(const Model& model, std::optional<bool> requires_grad) {
   SimState state = model.state(requires_grad);
 #ifdef NOVAPHY_PYTHON_DIFF

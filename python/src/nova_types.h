@@ -1,5 +1,5 @@
-// Tensors as Python sees them: an object of the class nova.Tensor is the shared TensorImpl, so the
-// same tensor is the same Python object for as long as it lives.
+// Tensors in Python. An object of the class nova.Tensor holds the shared TensorImpl, so a tensor is
+// the same Python object during its lifetime.
 #pragma once
 
 #include "exchange.h"
@@ -31,7 +31,8 @@ struct type_caster<nova::Tensor> {
 
 namespace novaphy::python {
 
-// A const method of Tensor as a function, because the bound class is TensorImpl.
+// Converts a const method of Tensor to a function, because the class that pybind11 binds is
+// TensorImpl.
 template <auto F>
 struct Method;
 template <class R, class... Args, R (nova::Tensor::*F)(Args...) const>
@@ -45,13 +46,13 @@ nova::DType to_nova_dtype(py::handle value);
 DType dtype_of(nova::DType dtype);
 View view_of(const nova::Tensor& tensor);
 nova::Tensor tensor_of(const View& view);
-// Returns a Tensor as it is, or a number as a tensor of one value on the device. TypeError names
-// the argument.
+// Returns a Tensor unchanged, or a number as a tensor {1} on the device. TypeError: another type.
 nova::Tensor to_operand(py::handle value, const char* name, const Device& device);
-// Returns x[key], as a recorded read. IndexError: no such entry. TypeError: the key is no index.
+// Returns x[key], recorded on an active tape. IndexError: an index is out of range. TypeError:
+// `key` is no index.
 nova::Tensor get_item(const nova::Tensor& x, py::handle key);
 
-// A reduction over all values, or over one dimension. ValueError: keepdims without an axis.
+// Reductions over all values, or along one dimension. ValueError: keepdims without an axis.
 enum class Reduction { Sum, Mean, Max, Min };
 template <Reduction R>
 nova::Tensor reduced(const nova::Tensor& x, std::optional<int64_t> axis, bool keepdims);

@@ -1,4 +1,4 @@
-// Parts of a library's bindings that have their own files.
+// Bindings that are split from the file of their library into separate files.
 #pragma once
 
 #include <pybind11/pybind11.h>

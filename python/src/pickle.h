@@ -1,5 +1,6 @@
-// pickle, copy and deepcopy: the content of an object as Python values. Arrays travel over the host
-// and return to the device that they were on. Gradients and tapes are left out.
+// Support for pickle, copy and deepcopy: the content of an object as Python values. Arrays are
+// copied over the host, and unpickled to the device that they were on. Gradients and tapes are left
+// out.
 #pragma once
 
 #include <utility>
@@ -70,7 +71,7 @@ void take_fields(Object& object, const py::dict& kept) {
   object.requires_grad = kept_value(kept, "requires_grad").cast<bool>();
 }
 
-// SimState and Control, which carry the id of their model.
+// Adds pickle support to SimState and Control, which have the id of their model.
 template <class Object>
 void add_field_pickle(py::class_<Object>& c) {
   c.def(py::pickle(
@@ -89,7 +90,7 @@ void add_field_pickle(py::class_<Object>& c) {
 
 // ---------------------------------------------------------------- settings
 
-// For classes whose values are their writable properties. repr shows these values.
+// Adds pickle support and a repr to a class whose content is its writable properties.
 template <class Settings>
 void add_settings_pickle(py::class_<Settings>& c) {
   const py::object writable = [](const py::object& type) {

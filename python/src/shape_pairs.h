@@ -1,4 +1,4 @@
-// The pairs of shapes of a Model: properties, and their part of a pickle.
+// The shape pairs of a Model (shape_contact_pairs, ...): Python properties, and pickle support.
 #pragma once
 
 #include "novaphy/core/sim/model.h"
@@ -15,8 +15,8 @@ void bind_shape_pairs(ModelClass& c) {
       "shape_contact_pair_count",
       "",
       "",
-      "shape pairs (i < j) that the rigid contact search \"explicit\" visits, in "
-      "lexicographic order. Listed when first asked for"};
+      "shape pairs (i < j) that the broad phase \"explicit\" tests, in lexicographic order. The "
+      "list is made at the first access"};
   c.def_property(
       "shape_contact_pairs",
       [](const Model& self) { return static_cast<Array>(self.shape_contact_pairs()); },
@@ -26,9 +26,9 @@ void bind_shape_pairs(ModelClass& c) {
       },
       field_doc(info).c_str());
   c.def_property_readonly("shape_contact_pair_count", &Model::shape_contact_pair_count,
-                          "Rows of shape_contact_pairs.");
+                          "The number of rows of shape_contact_pairs.");
   c.def_readonly("shape_collision_filter_pairs", &Model::shape_collision_filter_pairs,
-                 "Shape pairs (i < j) that never meet.");
+                 "The shape pairs (i < j) whose contacts are excluded.");
 }
 
 inline void keep_shape_pairs(const Model& model, py::dict& kept) {

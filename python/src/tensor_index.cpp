@@ -1,4 +1,4 @@
-// tensor[...]: NumPy's basic indices, and one table of rows, as recorded reads.
+// Reads tensor[...] with NumPy's basic indices and one table of rows, recorded on an active tape.
 #include "nova_types.h"
 #include "novaphy/nova/ops.h"
 
@@ -15,8 +15,8 @@ bool is_table(py::handle key) {
          py::isinstance(key, py::module_::import("numpy").attr("ndarray"));
 }
 
-// Converts a list or NumPy array to int32 row indices: of row numbers, or of one truth value per
-// row.
+// Converts an index of rows to int32 row indices. The index is a Tensor, list or NumPy array of row
+// numbers, or has one truth value for each row.
 Tensor to_row_table(py::handle key, int64_t rows, const Device& device) {
   if (py::isinstance<nova::TensorImpl>(key)) return key.cast<Tensor>();
   const py::module_ np = py::module_::import("numpy");
@@ -45,7 +45,8 @@ Tensor to_row_table(py::handle key, int64_t rows, const Device& device) {
   return table;
 }
 
-// Counts the dimensions that `parts` refer to. A table of rows counts for one.
+// Returns the number of dimensions that the parts of an index refer to, without "...". A table of
+// rows refers to one.
 size_t count_dimensions(const py::tuple& parts, size_t ndim) {
   size_t count = 0, ellipses = 0;
   for (const py::handle part : parts) (part.is(py::ellipsis()) ? ellipses : count) += 1;
@@ -55,8 +56,8 @@ size_t count_dimensions(const py::tuple& parts, size_t ndim) {
   return count;
 }
 
-// Indexes one dimension after the other. A dimension with an integer index has size 1 until the
-// end.
+// Applies the parts of an index to one dimension after the other. A dimension with an integer index
+// keeps the size 1, and is removed at the end.
 class Indexing {
  public:
   explicit Indexing(const Tensor& x) : now_(x), dropped_(x.ndim(), false) {}

@@ -21,12 +21,12 @@ from novaphy import viewer
 FPS, SUBSTEPS = 60, 8
 DT = 1.0 / (FPS * SUBSTEPS)
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
-CUBE, CUBES, ASIDE = 0.1, 10, 0.003  # m
-THIGH, CALF = 0.22, 0.22  # m
-STANCE = (0.0, 0.75, -1.5)  # rad, of hip, thigh and calf
-LINKS, LINK = 24, 0.12  # m
-ANTS, SPACING = 32, 1.8  # in a row, m
-TORQUE, FRAMES_PER_TORQUE = 60.0, 5  # N m
+CUBE, CUBES, ASIDE = 0.1, 10, 0.003  # half an edge (m), number, sideways offset (m)
+THIGH, CALF = 0.22, 0.22  # lengths (m)
+STANCE = (0.0, 0.75, -1.5)  # rad, angles of hip, thigh and calf
+LINKS, LINK = 24, 0.12  # number of links of the chain, length of a link (m)
+ANTS, SPACING = 32, 1.8  # Ants in a row, distance of Ants (m)
+TORQUE, FRAMES_PER_TORQUE = 60.0, 5  # largest torque (N m), frames with the same torque
 # The Ant: leg, direction of its hip, axis of its ankle, and range of the ankle (degrees).
 LEGS = (
     ((0.2, 0.2), (-1.0, 1.0), (30.0, 100.0)),
@@ -37,10 +37,10 @@ LEGS = (
 
 
 def between(a: np.ndarray, b: np.ndarray) -> tuple[tuple, float]:
-    """Return the pose of a capsule from point a to point b (m), and half of its length (m)."""
+    """Return the pose of a capsule from point a to point b (m), and half its length (m)."""
     along = b - a
     length = float(np.linalg.norm(along))
-    x, y, z = along / length  # the direction of the capsule, the image of z
+    x, y, z = along / length  # the direction of the capsule, to which its z axis is rotated
     q = np.array([-y, x, 0.0, 1.0 + z])
     return (*((a + b) / 2), *(q / np.linalg.norm(q))), length / 2
 
@@ -209,7 +209,7 @@ def simulate(
 
 
 def check(scene: str, poses: np.ndarray, velocities: np.ndarray) -> str:
-    """Return the failed expectations of a scene as text; empty: none."""
+    """Return a text about the failed checks of a scene; "": all checks passed."""
     if not np.isfinite(poses).all():
         return "finite poses"
     if scene == "stack":
@@ -230,7 +230,7 @@ def check(scene: str, poses: np.ndarray, velocities: np.ndarray) -> str:
 
 
 def plot(path: str, model: novaphy.Model, poses: np.ndarray) -> None:
-    """Draw the places of the bodies over time, and their paths from the side."""
+    """Draw the positions of the bodies over time, and their paths from the side."""
     import matplotlib
 
     matplotlib.use("Agg")

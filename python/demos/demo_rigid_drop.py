@@ -1,7 +1,7 @@
 """Throw three dice on the ground, and wait until they rest on a face.
 
-Each is a box of 12 kg with its own velocity and spin. 16 substeps a frame, 60 frames a second;
-contacts are found anew in every substep.
+Each die is a box of 12 kg. The dice have different initial velocities and angular velocities. A
+second has 60 frames with 16 substeps each. Contacts are found in every substep.
 
     python demo_rigid_drop.py
     python demo_rigid_drop.py --headless 180 --plot rigid_drop.png --record rigid_drop.html
@@ -19,7 +19,7 @@ from novaphy import viewer
 
 FPS, SUBSTEPS = 60, 16
 DT = 1.0 / (FPS * SUBSTEPS)
-HALF = 0.1  # m
+HALF = 0.1  # half an edge of a die (m)
 STARTS = [  # x (m); linear and angular velocity (m/s, rad/s)
     (-1.0, (0.6, 0.0, 0.0, 1.0, 5.0, 2.0)),
     (0.0, (0.3, 0.2, 0.0, -4.0, 1.0, 3.0)),
@@ -117,7 +117,7 @@ def main() -> int:
     if args.plot:
         plot(args.plot, poses)
     weight = float(model.body_mass.numpy()[0]) * 9.81
-    rest = HALF - weight / (4 * 1e4)  # the overlap of a face that rests on four contact springs
+    rest = HALF - weight / (4 * 1e4)  # minus the overlap of a face on four contacts of 1e4 N/m
     heights, speeds = end.body_q.numpy()[:, 2], np.linalg.norm(end.body_qd.numpy(), axis=1)
     for height, speed in zip(heights, speeds, strict=True):
         print(f"height {height:.5f} m  speed {speed:.1e}")

@@ -1,8 +1,8 @@
 """Drop a pile of convex and concave bodies into a bowl of triangles.
 
-The bowl is a triangle mesh of the world. Stones are convex hulls of random points, brackets are
-concave: two hulls on one body. 16 substeps a frame, 60 frames a second; contacts are found anew in
-every substep.
+The bowl is a triangle mesh that belongs to the world. A stone is a convex hull of random points. A
+bracket is a concave body of two convex hulls. A second has 60 frames with 16 substeps each.
+Contacts are found in every substep.
 
     python demo_rigid_meshes.py
     python demo_rigid_meshes.py --headless 300 --record rigid_meshes.html

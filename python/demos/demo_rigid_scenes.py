@@ -21,11 +21,11 @@ from novaphy import viewer
 FPS, SUBSTEPS = 60, 16
 DT = 1.0 / (FPS * SUBSTEPS)
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
-CUBE, CUBES = 0.1, 10  # m, half an edge
-DOMINO, DOMINOES, SPACING = (0.02, 0.1, 0.2), 12, 0.2  # m, half extents
-CLOTH_CELLS, CLOTH_CELL = 24, 0.05  # m
-BRICK, COURSES, BRICKS = (0.1, 0.05, 0.05), 6, 6  # m, half extents
-LINKS, LINK = 4, 0.3  # m
+CUBE, CUBES = 0.1, 10  # half an edge of a cube (m), number of cubes
+DOMINO, DOMINOES, SPACING = (0.02, 0.1, 0.2), 12, 0.2  # half extents (m), number, distance (m)
+CLOTH_CELLS, CLOTH_CELL = 24, 0.05  # cells along a side, size of a cell (m)
+BRICK, COURSES, BRICKS = (0.1, 0.05, 0.05), 6, 6  # half extents (m), rows, bricks in a row
+LINKS, LINK = 4, 0.3  # number of rods, length of a rod (m)
 
 
 def build_stack() -> novaphy.ModelBuilder:
@@ -96,10 +96,10 @@ def build_wall() -> novaphy.ModelBuilder:
 
 
 def build_pendulum() -> novaphy.ModelBuilder:
-    """Build a row of rods that start at an angle. Hinges of springs hold the rods."""
+    """Build a chain of rods that starts at an angle. Penalty joints (springs) connect the rods."""
     builder = novaphy.ModelBuilder()
     rod = novaphy.ShapeConfig(density=0.0, collision_group=0)
-    turn = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))  # z along x
+    turn = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))  # rotates z to x
     last, joints = -1, []
     for k in range(LINKS):
         link = builder.add_link(
@@ -176,7 +176,7 @@ def upward(poses: np.ndarray) -> np.ndarray:
 
 
 def check(scene: str, poses: np.ndarray, points: np.ndarray) -> str:
-    """Return the failed expectations of a scene as text; empty: none."""
+    """Return a text about the failed checks of a scene; "": all checks passed."""
     if scene == "stack":
         drift = np.abs(poses[-1, :, :2]).max()
         return "" if drift < 1e-3 and upward(poses[-1]).min() > 0.9999 else "a stack that stands"
@@ -203,7 +203,7 @@ def check(scene: str, poses: np.ndarray, points: np.ndarray) -> str:
 
 
 def local(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return points {n, 3} of the world in the frame of a pose."""
+    """Return points {n, 3} (m, world frame) in the frame of a pose {7}."""
     q = pose[3:] * (-1.0, -1.0, -1.0, 1.0)
     return rotate(q, points - pose[:3])
 
@@ -226,7 +226,7 @@ def plot(path: str, model: novaphy.Model, poses: np.ndarray, points: np.ndarray)
     edges = [(a, b) for a in range(8) for b in range(a) if bin(a ^ b).count("1") == 1]
     places = np.concatenate([poses[..., :2].ravel(), points[..., :2].ravel()])
     middle, reach = (places.max() + places.min()) / 2, np.ptp(places) / 2 + 0.5
-    if poses[..., 1].max() > 5.0:  # bricks have flown far from the wall
+    if poses[..., 1].max() > 5.0:  # some bricks have flown far from the wall
         middle, reach = 0.3, 1.6
     shape_body, scale = model.shape_body.numpy(), model.shape_scale.numpy()
     is_ball = model.shape_type.numpy() == novaphy.GeoType.SPHERE

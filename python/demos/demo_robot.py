@@ -1,9 +1,9 @@
 """Load a robot from a URDF or MJCF file and let it swing, or fall to the ground.
 
-No motor turns. A URDF robot hangs on its base, starts off balance, and swings without contacts and
-limits. With --floating, and from MJCF files, it falls to the ground and lies or stands there:
-contacts are found in every step and solved by projected Gauss-Seidel. The demo prints the part of
-the energy that is left. The energy may not grow.
+The joints are not driven. A URDF robot hangs on its fixed base, starts off balance, and swings
+without contacts and joint limits. With --floating, and from MJCF files, the robot falls to the
+ground. Contacts are then found in every step, and solved by projected Gauss-Seidel. The demo prints
+the part of the initial energy that is left, and checks that the energy does not grow.
 
     python demo_robot.py
     python demo_robot.py two_link_arm.urdf --headless 240 --plot arm.png --record arm.html
@@ -31,8 +31,8 @@ DT = 1.0 / (FPS * SUBSTEPS)
 def build_model(args: argparse.Namespace) -> tuple[novaphy.Model, bool]:
     """Build the robot of the file.
 
-    Return the model, and whether the robot swings on its base. The hinges of a robot that swings
-    have no limits.
+    Return the model, and whether the robot swings on a fixed base. Hinges of such a robot have no
+    limits.
     """
     path = Path(args.robot)
     if not path.exists() and args.robot in novaphy.assets.names():
@@ -63,7 +63,7 @@ def build_model(args: argparse.Namespace) -> tuple[novaphy.Model, bool]:
             builder.add_ground_plane()
             model = builder.finalize()
         return model, swings
-    # Hinges turn without limits. Prismatic joints, such as fingers, keep their limits.
+    # Remove the limits of hinges. Prismatic joints, such as fingers, keep their limits.
     free, q = model.joint_velocity_limit.numpy(), model.joint_q.numpy()
     lower, upper = model.joint_limit_lower.numpy(), model.joint_limit_upper.numpy()
     dofs, coords = model.joint_qd_start.numpy(), model.joint_q_start.numpy()
@@ -125,7 +125,7 @@ def camera(model: novaphy.Model, swings: bool) -> tuple[tuple[float, ...], tuple
         p, v = poses[bodies[shape], :3], poses[bodies[shape], 3:6]
         w = poses[bodies[shape], 6]
         turned = at[:3] + 2.0 * np.cross(v, np.cross(v, at[:3]) + w * at[:3])
-        reach = min(float(scales[shape].max()), 0.3)  # the scale of a mesh is a factor
+        reach = min(float(scales[shape].max()), 0.3)  # bounded, because a mesh's scale is no size
         lowest = np.minimum(lowest, p + turned - reach)
         highest = np.maximum(highest, p + turned + reach)
     # The robot falls to the ground at height 0, or swings below its base.

@@ -38,7 +38,7 @@ class Scene:
     model: novaphy.Model
     iterations: int
     substeps: int = 1
-    turn: float = 0.0  # rad/s, the relative angular velocity of the held ends
+    turn: float = 0.0  # rad/s, the relative angular velocity of the kinematic ends
 
 
 def hanging() -> Scene:
@@ -72,7 +72,7 @@ def draped() -> Scene:
 
 
 def twisted() -> Scene:
-    """Build a bar of 1 m, whose ends are turned against each other by one turn."""
+    """Build a bar of 1 m, whose ends are rotated against each other by a full turn."""
     builder = novaphy.ModelBuilder(gravity=0.0)
     builder.add_soft_grid(
         pos=(0.0, -0.1, 0.3), dim_x=30, dim_y=6, dim_z=6, cell_x=1 / 30, cell_y=1 / 30,
@@ -140,7 +140,7 @@ LOOKS = {
 
 
 def turned(rest: np.ndarray, angle: float) -> np.ndarray:
-    """Return points turned about the x axis of the bar: the ends by half of the angle each way."""
+    """Return points of the bar's ends, rotated about its x axis by +angle / 2 and -angle / 2."""
     center = np.array([0.0, 0.0, 0.4], np.float32)
     signed = np.where(rest[:, 0] > 0.5, 0.5, -0.5) * angle
     x, y, z = (rest - center).T
@@ -180,9 +180,9 @@ def simulate(
 
 
 def check_gradient(scene: Scene, start: novaphy.SimState) -> bool:
-    """Return whether the gradient of a frame agrees with differences along it.
+    """Return whether the gradient of a frame agrees with differences along the gradient.
 
-    The loss is a random sum of positions. The contacts are those of the state `start`.
+    The loss is a sum of positions with random weights. Contacts are found in the state `start`.
     """
     from novaphy import diff, nova
 
@@ -208,7 +208,7 @@ def check_gradient(scene: Scene, start: novaphy.SimState) -> bool:
         value = loss(velocity)
     tape.backward(value)
     gradient = trajectory[0].particle_qd.grad.numpy()
-    direction = gradient / np.sqrt(np.mean(np.square(gradient)))  # 1 m/s, root mean square
+    direction = gradient / np.sqrt(np.mean(np.square(gradient)))  # root mean square: 1 m/s
     expected = float((gradient * direction).sum())
     sums, size = [], 2e-3
     for sign in (1.0, -1.0):
@@ -222,14 +222,14 @@ def check_gradient(scene: Scene, start: novaphy.SimState) -> bool:
 
 
 def least_volume(model: novaphy.Model, q: np.ndarray) -> float:
-    """Return the smallest volume of a tetrahedron, relative to its volume at rest."""
+    """Return the smallest ratio of a tetrahedron's volume to its rest volume."""
     a, b, c, d = q[model.tet_indices.numpy().T].astype(np.float64)
     volume = np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a)) / 6.0
     return float((volume / model.particle_tet_volume.numpy()).min())
 
 
 def check(name: str, scene: Scene, positions: np.ndarray) -> list[str]:
-    """Return the failed expectations at the end of a complete scene."""
+    """Return texts about the failed checks at the end of a complete scene."""
     end, speed = positions[-1], np.abs(positions[-1] - positions[-2]).max() * FPS
     faults = [] if np.isfinite(positions).all() else ["finite positions"]
     if name == "hanging":

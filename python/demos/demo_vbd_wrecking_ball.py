@@ -18,13 +18,13 @@ from novaphy import viewer
 from novaphy.solvers import SolverVBD
 
 FPS, SUBSTEPS = 60, 2
-LINKS, LINK, BOX, RADIUS = 10, 0.2, 0.1, 0.16  # m: a link's length, half a box, the ball
+LINKS, LINK, BOX, RADIUS = 10, 0.2, 0.1, 0.16  # links; m: link length, half a box, ball radius
 HEIGHT = LINKS * LINK + RADIUS + 0.9
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 
 
 def build_model() -> novaphy.Model:
-    """Build the stack, and the chain that is held out level at its ball."""
+    """Build the stack of boxes, and the chain, which starts horizontal with the ball at its end."""
     builder = novaphy.ModelBuilder()
     builder.default_shape_cfg = novaphy.ShapeConfig(ke=1e5, kd=50.0, mu=0.5, density=1000.0)
     wood = novaphy.ShapeConfig(ke=1e5, kd=50.0, mu=0.5, density=300.0)
@@ -88,7 +88,7 @@ def turned(pose: np.ndarray, point: tuple[float, float, float]) -> np.ndarray:
 
 
 def longest_gap(poses: np.ndarray) -> float:
-    """Return the largest gap of the chain's joints in a frame (m)."""
+    """Return the largest gap (m) between the two sides of a joint of the chain."""
     links = poses[10 : 10 + LINKS]
     starts = [turned(pose, (0.5 * LINK, 0.0, 0.0)) for pose in links]
     ends = [turned(pose, (-0.5 * LINK, 0.0, 0.0)) for pose in links]

@@ -1,4 +1,4 @@
-"""What the demos of the Ant share: gait measures, actors, and how a policy is judged."""
+"""Functions that the demos of the Ant share: gait measures, actors, and tests of policies."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from novaphy.envs import ACTIONS, OBSERVATIONS, AntWorlds, check_meta, feet, rot
 DATA = Path(__file__).resolve().parents[1] / "data" / "ant" / "rl_policies"
 FPS = 20
 HIDDEN = 256
-LIFTED, TOUCHING = 0.010, 0.003  # m, heights: a foot above is lifted, below touches
+LIFTED, TOUCHING = 0.010, 0.003  # m: a foot above LIFTED is lifted, a foot below TOUCHING touches
 SAMPLE = 5  # substeps between two measurements of the feet
 
 
@@ -65,11 +65,11 @@ class GaitMeter:
         """Return the measures of the gait as arrays with one row for each world.
 
         touchdown_rate: touchdowns of each foot per second {n, 4}.
-        clearance: the least over the feet of the median height of a swing (m).
-        slip: the largest slip of a foot, relative to the distance of the Ant.
-        lowest: the height of the lowest foot (m).
-        excess: how far a joint left its range (rad).
-        tilt: the largest tilt (degrees).
+        clearance: the median height of the swings of a foot, for the foot with the least (m).
+        slip: the largest distance that a foot slips, relative to the Ant's distance (1).
+        lowest: the smallest height of a foot (m).
+        excess: the largest violation of a joint's range (rad).
+        tilt: the largest tilt of the torso (degrees).
         """
         n = self.ants.num_worlds
         clearance = np.zeros((n, 4))
@@ -146,8 +146,8 @@ def judge(
 ) -> dict[str, np.ndarray]:
     """Play an actor in all worlds for some frames, and return measures of its gait.
 
-    The measures are those of GaitMeter (with `measure`), `survived`, `velocity` (m/s, until the Ant
-    falls), `distance` (m) and `drift` (m).
+    The result has `survived`, `velocity` (m/s, until the Ant falls), `distance` (m) and `drift` (m,
+    sideways). With `measure`, the result also has the measures of GaitMeter.
     """
     ants.reset()
     meter = GaitMeter(ants) if measure else None

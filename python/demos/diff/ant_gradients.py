@@ -1,18 +1,19 @@
 """Derivatives of frames of a batch of Ants: frozen dynamics, or the exact adjoint.
 
-A frame is stepped forward once and kept. `pull` then carries adjoints of the end of the frame back
-to its start and to its forces. Derivatives with respect to a state are derivatives with respect to
-tangents {worlds, 14} of the dofs: the displacement of the torso's center, the rotation about the
-center (both in world axes), then the hinges.
+A frame is simulated once, and its data are stored. Then `pull` computes, from adjoints of the
+frame's end, the adjoints of its start and of its forces. Derivatives by a state are derivatives by
+tangents {worlds, 14}: the displacement of the torso's center, the rotation about the center (both
+in world axes), and the hinge angles; and by the 14 rates.
 
-Frozen: in each substep, the change of the velocity goes through the mass matrix, the damping, the
-drives and the springs of limits. The result is projected into the null space of the normals of the
-contacts that push. Frozen frames leave out the begin and end of contacts, and the derivatives of
-mass matrix, bias and Jacobians of contacts with respect to the state. Two terms add to this:
-"sticking" includes the friction of contacts that stick, and "dynamics" includes the derivatives of
-mass matrix and bias.
+Frozen frames: in each substep, a change of the velocity passes through the mass matrix, the
+damping, the drives and the springs of limits. The result is projected onto the null space of the
+normals of pushing contacts. Frozen frames leave out the begin and end of contacts. They also leave
+out the derivatives of mass matrix, bias and contact Jacobians by the state. Two optional terms are
+added: "sticking" includes the friction of sticking contacts, and "dynamics" includes the
+derivatives of mass matrix and bias.
 
-Exact: the derivatives are those of DiffFeatherstoneSolver, whose gradient_info labels them.
+Exact frames: the derivatives are those of DiffFeatherstoneSolver. Its gradient_info has their
+label.
 """
 
 from __future__ import annotations
@@ -26,9 +27,9 @@ from novaphy import diff, nova
 from novaphy.envs import AntWorlds, rotate
 
 DOFS = 14
-STICKING = 0.98  # part of the Coulomb limit; a contact below it sticks
-ROWS_AT_ONCE = 512  # worlds times substeps at once, which fit into the cache
-SOFTEST = 1e-6  # part of the largest diagonal entry that makes dependent rows solvable
+STICKING = 0.98  # a contact sticks if its friction force is below this part of the Coulomb limit
+ROWS_AT_ONCE = 512  # rows (worlds times substeps) computed at once, so that they fit in the cache
+SOFTEST = 1e-6  # regularization of dependent rows, relative to the largest diagonal entry
 
 
 def to_tangent(q: np.ndarray, gradient: np.ndarray) -> np.ndarray:
@@ -42,7 +43,7 @@ def to_tangent(q: np.ndarray, gradient: np.ndarray) -> np.ndarray:
 def to_coordinates(q: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     """Convert gradients with respect to tangents {n, 14} to gradients by coordinates {n, 15}.
 
-    The part of the quaternion is tangent to the unit sphere.
+    The gradient by the quaternion is tangent to the unit sphere.
     """
     e, v, w = tangent[:, 3:6], q[:, 3:6], q[:, 6:7]
     part = 2.0 * (w * e + np.cross(e, v))
@@ -76,7 +77,7 @@ class FrozenFrames:
         self.mu = model.shape_material_mu.numpy()
         self.com = model.body_com.numpy().reshape(n, per_world, 3)
         self.eye = np.eye(DOFS)
-        # A function of the substep that runs before each substep, to set targets of the drives.
+        # A function lead(substep), called before each substep to set targets of drives; None: none.
         self.lead = None
 
     def vary(self, **values: float) -> None:
@@ -115,15 +116,15 @@ class FrozenFrames:
             by_state.append(self.by_state())
         a.frame += 1
         kept, most = [], max(1, ROWS_AT_ONCE // self.worlds)
-        for k in range(0, len(steps), most):  # many at once, because calls take most of the time
+        for k in range(0, len(steps), most):  # in batches, because calls of NumPy are expensive
             kept += self.linearized(*zip(*steps[k : k + most], strict=True))
         return [(*x, y) for x, y in zip(kept, by_state, strict=True)]
 
     def by_state(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return derivatives of (mass matrix times acceleration + bias) in the last step, or None.
+        """Return the derivatives of (mass matrix times acceleration + bias) in the last step.
 
-        The two arrays {worlds, 14, 14} are derivatives with respect to tangents and to rates. None:
-        "dynamics" is not a term.
+        The two arrays {worlds, 14, 14} are derivatives by tangents and by rates. The result is None
+        without the term "dynamics".
         """
         if not self.dynamics:
             return None
@@ -133,10 +134,10 @@ class FrozenFrames:
         return by_q.astype(np.float64), by_qd.astype(np.float64)
 
     def linearized(self, q, mass, jacobian, poses, pushes) -> list[tuple[np.ndarray, ...]]:
-        """Return four arrays for each of some substeps.
+        """Return the matrices of the linearized substeps, four arrays {worlds, 14, 14} per substep.
 
         The arrays are the inverse of the matrix of the implicit step, the stiffness, the damping,
-        and the transposed projection into the null space of the contacts.
+        and the transposed projection onto the null space of the contacts.
         """
         dt, shape = self.ants.dt, (len(q), self.worlds)
         x = np.stack(q)
@@ -157,10 +158,10 @@ class FrozenFrames:
         return list(zip(inverse, k, d, back, strict=True))
 
     def pushes(self) -> tuple[np.ndarray, ...]:
-        """Return six arrays with one entry for each contact that pushes.
+        """Return six arrays with one entry for each pushing contact.
 
-        The arrays are: world, link of the Ant, contact point (m, link frame), margin (m), normal,
-        and whether the contact sticks.
+        The arrays are the world, the link of the Ant, the contact point (m, link frame), the margin
+        (m), the normal, and whether the contact sticks.
         """
         c = self.ants.contacts
         count = int(c.rigid_contact_count.numpy()[0])
@@ -172,7 +173,7 @@ class FrozenFrames:
         i = np.flatnonzero(push > 0.0)
         force, normal, push = force[i], normal[i], push[i]
         shapes = np.stack([c.rigid_contact_shape0.numpy()[i], c.rigid_contact_shape1.numpy()[i]])
-        side = self.link_of_shape[shapes[1]] >= 0  # whether shape 1 is the Ant's, else shape 0
+        side = self.link_of_shape[shapes[1]] >= 0  # whether shape 1 (not shape 0) is on the Ant
         shape = np.where(side, shapes[1], shapes[0])
         point = np.where(
             side[:, None], c.rigid_contact_point1.numpy()[i], c.rigid_contact_point0.numpy()[i]
@@ -217,11 +218,10 @@ class FrozenFrames:
         return rows.reshape(*shape, -1, DOFS)
 
     def pull(self, kept, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Carry adjoints {worlds, m, 28} of tangents and rates from the end of a frame to its
-        start.
+        """Compute adjoints at the start of a frame from m adjoints g {worlds, m, 28} at its end.
 
-        Return the adjoints at the start {worlds, m, 28}, and the adjoints of joint_f {worlds, m,
-        14}.
+        Return the adjoints of tangents and rates at the start {worlds, m, 28}, and the adjoints of
+        joint_f {worlds, m, 14}.
         """
         dt = self.ants.dt
         g_q, g_v = g[..., :DOFS].astype(np.float64), g[..., DOFS:].astype(np.float64)
@@ -241,16 +241,15 @@ class ExactFrames:
     """Frames of DiffFeatherstoneSolver, with the adjoint of every step."""
 
     def __init__(self, ants: AntWorlds) -> None:
-        """Prepare a differentiable solver for a batch of worlds. Frames overwrite the state of
-        `ants`.
-        """
+        """Prepare a differentiable solver for a batch of worlds. Frames overwrite ants.state."""
         self.ants, self.worlds = ants, ants.num_worlds
-        # In some steps the sweeps cycle between feet that slide and feet that stick. Such a step
-        # must not end a training. `label` reports how many steps are exact.
+        # In some steps the sweeps do not converge, because feet alternate between sliding and
+        # sticking. Such a step must not stop the training. `label` reports how many steps are
+        # exact.
         self.solver = novaphy.solvers.DiffFeatherstoneSolver(
             ants.model, **ants.solver_options, allow_unconverged=True
         )
-        self.lead = None  # as in FrozenFrames, but called once a frame, for its middle
+        self.lead = None  # as in FrozenFrames, but called once per frame, for its middle substep
 
     def vary(self, **values: float) -> None:
         """Change parameters of the worlds, with the arguments of AntWorlds.vary."""
@@ -299,7 +298,7 @@ class ExactFrames:
         return (tape, end), (first.joint_q, first.joint_qd, control.joint_f)
 
     def pull(self, kept, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the result of FrozenFrames.pull. Each of the m adjoints is one backward pass."""
+        """Return adjoints as FrozenFrames.pull does. Each of the m adjoints is a backward pass."""
         start, _, _, recorded, arrays, end = kept
         states, forces = [], []
         for m in range(g.shape[1]):
@@ -318,10 +317,10 @@ class ExactFrames:
 
 
 def frame_jacobians(frames, q: np.ndarray, qd: np.ndarray, actions: np.ndarray):
-    """Step a frame from the states {worlds, ...}, and return two Jacobians of its end.
+    """Simulate a frame from states {worlds, ...}. Return two Jacobians of the state at its end.
 
-    The rows are the tangents and rates at the end. The columns are the tangents and rates at the
-    start {worlds, 28, 28}, and the actions {worlds, 28, 8}.
+    The Jacobian by the state at the start is {worlds, 28, 28}, and the Jacobian by the actions is
+    {worlds, 28, 8}. The 28 numbers of a state are tangents and rates.
     """
     ants = frames.ants
     ants.set_state(q, qd)
@@ -335,5 +334,5 @@ def frame_jacobians(frames, q: np.ndarray, qd: np.ndarray, actions: np.ndarray):
 def make_frames(
     ants: AntWorlds, kind: str, terms: Collection[str] = ("sticking",)
 ) -> FrozenFrames | ExactFrames:
-    """Return the frames of a kind: "frozen", which takes the terms, or "exact"."""
+    """Return the frames of a kind: "frozen", with optional terms, or "exact"."""
     return ExactFrames(ants) if kind == "exact" else FrozenFrames(ants, terms)

@@ -1,9 +1,9 @@
 """The objective of the Ant that learns from zero: a trot, a servo that follows it, and the loss.
 
-The trot is a reference motion of the hinges, with diagonal legs in phase. The trot breaks the
-symmetry of weights that are zero. At first a servo at the hinges follows the trot, so that the Ant
-walks before the actor has learned anything. The servo fades out while the actor learns. Trained
-actors walk without it.
+The trot is a reference motion of the hinges, in which diagonal legs move in phase. All weights of
+the actor start at zero, and the trot breaks this symmetry. At first a servo at the hinges follows
+the trot, so that the Ant walks before the actor has learned anything. The strength of the servo is
+reduced while the actor learns. Trained actors walk without the servo.
 """
 
 from __future__ import annotations
@@ -14,28 +14,29 @@ from novaphy.envs import ACTIONS, FEET, AntWorlds, rotate
 
 FPS = 20
 PERIOD = 14  # frames in a period of the trot
-# The trot (rad). Hips: SWAY about OFFSET, with the phase AHEAD of the lift. Ankles: bend ANKLE and
-# amplitude LIFT. Hind legs bend by HIND_BEND more and lift by HIND_LIFT more, front legs less.
-# REACH couples the ankles to the sway, so that standing feet move straight back below the torso.
-# The second harmonics: a foot stands for half of the period (LIFT_2), at an even speed (SWAY_2).
+# Parameters of the trot (rad). A hip swings with the amplitude SWAY about OFFSET, and its phase is
+# AHEAD of the lift of the foot. An ankle bends by ANKLE, with the amplitude LIFT. Hind legs bend by
+# HIND_BEND more and lift by HIND_LIFT more; front legs less. REACH couples the ankles to the hips,
+# so that standing feet move straight back below the torso. Two second harmonics shape the motion:
+# LIFT_2 makes a foot stand for half of the period, and SWAY_2 makes its speed constant.
 SWAY, OFFSET, AHEAD = 0.056, 0.05, 0.12
 ANKLE, LIFT, HIND_BEND, HIND_LIFT, REACH = 1.264, 0.30, 0.079, 0.1, 0.075
 SWAY_2, LIFT_2 = 0.28, 0.28
 HIP_SIGN, ANKLE_SIGN = np.array([1.0, 1.0, -1.0, -1.0]), np.array([1.0, -1.0, -1.0, 1.0])
 FRONT = np.array([1.0, -1.0, -1.0, 1.0])
-DIAGONAL = np.array([0.0, np.pi, 0.0, np.pi])  # phase of the legs
+DIAGONAL = np.array([0.0, np.pi, 0.0, np.pi])  # phase of each leg (rad)
 STIFFNESS, DAMPING = 1000.0, 70.0  # gains of the servo (N m/rad, N m s/rad)
-SERVO_SAMPLE = 5  # substeps between two targets
-SPEED = 0.3  # m/s
-CLEARANCE, TOUCHING = 0.06, 0.004  # m: wanted height of a swinging foot, height of a touch
-RATE = 0.06  # s, weight of the rates in the term "pose"
+SERVO_SAMPLE = 5  # substeps between two updates of the servo's targets
+SPEED = 0.3  # m/s, the desired speed of the torso
+CLEARANCE, TOUCHING = 0.06, 0.004  # m: desired height of a swinging foot; lower feet touch
+RATE = 0.06  # s, weight of the rates relative to the angles in the loss term "pose"
 WEIGHTS = {
     "speed": 5.0, "tilt": 130.0, "heading": 20.0, "drift": 8.0, "pose": 5.0, "jump": 0.05,
     "symmetry": 0.25, "clearance": 150.0, "slip": 1.0, "turn": 0.09,
 }  # fmt: skip
-FREE = {**WEIGHTS, "speed": 25.0, "slip": 1.5}  # weights of stages without the servo
-FAST = {**FREE, "speed": 150.0}  # weights of training in several worlds that differ
-# Directions of the hips from the torso's center; lengths of leg and foot (m).
+FREE = {**WEIGHTS, "speed": 25.0, "slip": 1.5}  # weights for stages without the servo
+FAST = {**FREE, "speed": 150.0}  # weights for training in several different worlds
+# Directions from the torso's center to the hips; lengths of leg and foot (m).
 SIDES = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 LEG, FOOT, TIP_RADIUS = 0.2 * np.sqrt(2.0), 0.4 * np.sqrt(2.0), 0.08
 ROWS = 40
@@ -47,10 +48,9 @@ def phase(frame: np.ndarray) -> np.ndarray:
 
 
 def reference(frame: np.ndarray, trot: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """Return the hinges {n, 8} (rad) of the trot at the start of frames {n}, and their rates
-    (rad/s).
+    """Return the hinge angles {n, 8} (rad) of the trot at frames {n}, and their rates (rad/s).
 
-    `frame` may be any real numbers. `trot` scales the strides; 0 gives the stance.
+    `frame` may have fractional numbers. `trot` scales the strides; 0 gives the stance.
     """
     p, w = phase(frame)[:, None] + DIAGONAL, 2.0 * np.pi * FPS / PERIOD
     ahead = p + AHEAD
@@ -77,7 +77,7 @@ class Servo:
         self.qd = ants.control.joint_target_qd.numpy().reshape(ants.num_worlds, -1)
 
     def set(self, strength: float, trot: float = 1.0) -> None:
-        """Set the strength as a factor of STIFFNESS and DAMPING, and the scale of the strides."""
+        """Set the strength, a factor of STIFFNESS and DAMPING, and the scale of the strides."""
         self.trot = trot
         if strength == self.strength:
             return
@@ -89,7 +89,7 @@ class Servo:
         self.ants.solver.notify_model_changed(0)
 
     def lead(self, frame: np.ndarray, substep: int) -> None:
-        """Set the targets for frames {worlds}, before every SERVO_SAMPLE-th substep."""
+        """Set the servo's targets for frames {worlds}, if an update is due in the substep."""
         if self.strength > 0.0 and substep % SERVO_SAMPLE == 0:
             middle = (substep + 0.5 * (SERVO_SAMPLE - 1)) / self.ants.substeps
             now = reference(frame + middle, self.trot)
@@ -106,9 +106,9 @@ def axis(q: np.ndarray, k: int) -> np.ndarray:
 def foot_motion(q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return heights and velocities of the feet, with their derivatives.
 
-    The four arrays are: heights {n, 4} (m), their derivatives with respect to tangents {n, 4, 14},
-    the horizontal velocities of the lowest points {n, 4, 2} (m/s), and their derivatives with
-    respect to rates {n, 4, 2, 14}.
+    The four arrays are the heights {n, 4} (m), the derivatives of heights by tangents {n, 4, 14},
+    the horizontal velocities of the lowest points {n, 4, 2} (m/s), and the derivatives of these
+    velocities by the rates {n, 4, 2, 14}. Tangents are defined in ant_gradients.py.
     """
     n, legs = len(q), len(FEET)
     bend = q[:, 8::2] * ANKLE_SIGN
@@ -123,7 +123,7 @@ def foot_motion(q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, ...]:
     tip = world(0.2 * SIDES[:, 0] + reach * c, 0.2 * SIDES[:, 1] + reach * s, fall)
     by_hip = world(-reach * s, reach * c, zero)
     by_bend = world(fall * c, fall * s, -FOOT * np.cos(bend))
-    # A rotation of a foot moves its lowest point against the direction of rolling.
+    # The velocity of the lowest point relative to the tip's center: rate x (vector to that point).
     down = np.array([0.0, 0.0, -TIP_RADIUS])
     up = world(zero, zero, zero + 1.0)
     bending = np.cross(up, world(c, s, zero))
@@ -143,11 +143,11 @@ def foot_motion(q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, ...]:
 
 
 def residuals(q, qd, a, last, frame, weights=WEIGHTS, trot=1.0):
-    """Return the residuals {n, 40} at the ends of frames, whose squares sum to the loss.
+    """Return the residuals {n, 40} at the ends of frames, whose sum of squares is the loss.
 
-    Also return the derivatives with respect to tangents and rates {n, 40, 28}, and with respect to
-    the actions {n, 40, 8}. The derivatives with respect to the actions of the frame before (`last`)
-    are the negative of the latter. `trot` scales the strides and the speed; 0: the Ant stands.
+    Also return their derivatives by tangents and rates {n, 40, 28}, and by the actions {n, 40, 8}.
+    The derivative by the actions of the frame before (`last`) is the negative of the derivative by
+    the actions. `trot` scales the strides and the speed; 0: the Ant stands.
     """
     w = {name: np.sqrt(value) for name, value in weights.items()}
     n = len(q)
@@ -167,7 +167,7 @@ def residuals(q, qd, a, last, frame, weights=WEIGHTS, trot=1.0):
     r[:, 6:14] = w["pose"] * (q[:, 7:] - pose + RATE * (qd[:, 6:] - rate))
     by_state[:, 6:14, 6:14] = w["pose"] * np.eye(8)
     by_state[:, 6:14, 20:28] = w["pose"] * RATE * np.eye(8)
-    # Hinges of diagonal legs mirror each other: their sums vanish.
+    # Hinges of diagonally opposite legs should mirror each other, so that their sums are 0.
     r[:, 14:18] = w["symmetry"] * (q[:, 7:11] + q[:, 11:15])
     by_state[:, 14:18, 6:10] = by_state[:, 14:18, 10:14] = w["symmetry"] * np.eye(4)
     r[:, 18:26], by_action[:, 18:26] = w["jump"] * (a - last), w["jump"] * np.eye(8)

@@ -1,10 +1,10 @@
 """The last stage of the Ant that learns from zero: a search on the measured gait.
 
 Slip, clearance and touchdowns depend on contacts that begin and end. The differentiable loss
-contains only smooth substitutes for these measures. An evolution strategy therefore moves the
-weights that the gradients have found, and plays each candidate on three floors. The strategy is
-(mu/mu_w, lambda) with cumulative step-size adaptation, without the covariance (N. Hansen, The CMA
-Evolution Strategy: A Tutorial, 2016, eq. 6, 9, 31, 32).
+contains only smooth substitutes for these measures. Therefore an evolution strategy improves the
+weights that the gradients have found, and simulates each candidate on floors of three frictions.
+The strategy is (mu/mu_w, lambda) with cumulative step-size adaptation and without covariance
+adaptation (N. Hansen, The CMA Evolution Strategy: A Tutorial, 2016, eq. 6, 9, 31, 32).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-FLOORS = (0.5, 0.75, 1.2)  # friction
+FLOORS = (0.5, 0.75, 1.2)  # friction coefficients of the floors
 FRAMES, CANDIDATES, WIDTH = 300, 24, 0.02
 GENERATIONS = 80
 
@@ -25,7 +25,7 @@ def over(x: np.ndarray, most: float) -> np.ndarray:
 
 
 def excess(result: dict[str, np.ndarray], way: float) -> np.ndarray:
-    """Return the weighted sum {n} by which the gait of each world misses its bounds; 0: none.
+    """Return {n}: the weighted sum of a gait's violations of its bounds; 0: all bounds are met.
 
     The bounds are stricter than those of the demo's checks.
 
@@ -56,7 +56,7 @@ def polish(
     generations: int,
     until: float = np.inf,
 ) -> tuple[np.ndarray, list[float]]:
-    """Search from weights {8, 10} until no bound is missed, for at most `generations` generations.
+    """Search from weights {8, 10} until all bounds are met, for at most `generations` generations.
 
     Args:
         play: returns the result of `validate` for weights {n, 8, 10} on all floors {n * floors}, in
@@ -79,7 +79,7 @@ def polish(
     damping = 1.0 + 2.0 * max(0.0, np.sqrt((mass - 1.0) / (n + 1.0)) - 1.0) + decay
     length = np.sqrt(n) * (
         1.0 - 1.0 / (4.0 * n) + 1.0 / (21.0 * n**2)
-    )  # the mean length of a normal sample
+    )  # the expected length of a normal random vector
     mean, width, path = weights.ravel(), WIDTH, np.zeros(n)
     best, least, lacks = weights, np.inf, []
     for _ in range(generations):
@@ -87,8 +87,8 @@ def polish(
             break
         draws = rng.standard_normal((CANDIDATES, n))
         if not lacks:
-            draws[0] = 0.0  # the initial weights
-        # The weights as a file stores them, in float32.
+            draws[0] = 0.0  # the first candidate has the initial weights
+        # Candidates are rounded to float32, as a file stores them.
         candidates = np.float32(mean + width * draws).astype(float).reshape(-1, *weights.shape)
         lack = excess(play(candidates), way).reshape(CANDIDATES, -1).mean(axis=1)
         order = np.argsort(lack, kind="stable")

@@ -1,7 +1,8 @@
 """Disturbances that a policy of the Ant should withstand: different worlds, and pushes.
 
-A seed draws the friction, the mass and the direction of a slope. It also draws pushes of the torso.
-A push is a force along the ground for one frame. Its direction is random, and its period is fixed.
+For each world, a seed determines the friction, the mass, the direction of a slope, and pushes of
+the torso. A push is a horizontal force during one frame. The direction of a push is random, and
+pushes come at regular intervals.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from novaphy.envs import AntWorlds
 FRICTION, MASS = (0.5, 1.2), (0.9, 1.1)
 SLOPE = 3.0  # degrees
 IMPULSE = 20.0  # N s, impulse of a push; it changes the speed of 182 kg by 0.11 m/s
-EVERY, MOST, FPS = 60, 64, 20  # frames between two pushes; directions; frames per second
+EVERY, MOST, FPS = 60, 64, 20  # frames between pushes; number of pushes; frames per second
 NAMES = ("pushes", "friction", "mass", "slope")
 
 

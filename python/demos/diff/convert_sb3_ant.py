@@ -1,7 +1,8 @@
 """Convert an actor that Stable-Baselines3's SAC trained on Ant-v3 into a file of the demos.
 
-The zip that SB3 saves holds policy.pth, which torch reads with weights_only=True: no code of the
-file runs. Only the actor's mean is taken: 111-256-256-8 with ReLU, whose action is tanh(mean).
+The zip file of Stable-Baselines3 contains policy.pth. torch reads this file with weights_only=True,
+so that no code of the file runs. Only the network of the actor's mean is converted: 111-256-256-8
+with ReLU. The action is tanh(mean).
 
     python convert_sb3_ant.py sac_ant.zip sac_ant.npz
     python demo_diffsim_ant_walk.py --ant gym --policy sac_ant.npz
@@ -39,7 +40,7 @@ def read_actor(path: str) -> dict[str, np.ndarray]:
         state = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     except (zipfile.BadZipFile, KeyError) as error:
         raise ValueError(f"{path}: expected a zip of SB3 with {MEMBER}: {error}") from None
-    except Exception as error:  # torch has several kinds for files that are no tensors
+    except Exception as error:  # torch raises several types for files without tensors
         raise ValueError(f"{path}, {MEMBER}: expected tensors only: {error}") from None
     values = {}
     for name, shape in actor_shapes().items():

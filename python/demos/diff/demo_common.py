@@ -1,4 +1,4 @@
-"""What the demos share: flags, the gradient check, progress, pictures and the way out."""
+"""Functions that the demos share: flags, gradient checks, training loops, figures, exit codes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def make_parser(doc: str, iterations: int) -> argparse.ArgumentParser:
 
 
 def parse(parser: argparse.ArgumentParser) -> argparse.Namespace:
-    """Parse and check the flags. Then `device` is the name of a device."""
+    """Parse and check the flags. In the result, `device` is the name of a device."""
     args = parser.parse_args()
     viewer.check_arguments(parser, args)
     if args.dump_states and not Path(args.dump_states).parent.is_dir():
@@ -51,8 +51,13 @@ def check_gradient(
 ) -> bool:
     """Compare the tape's gradient with central differences.
 
-    Return whether the largest difference, relative to the largest quotient, is within the
-    tolerance. The step `eps` may be a function of the value. `indices` selects values; None: all.
+    Return whether the largest error, relative to the largest difference quotient, is within the
+    tolerance.
+
+    parameter: the tensor whose gradient is checked.
+    forward: runs a rollout and returns the loss {1}.
+    eps: the step of the differences, or a function that gives the step for a value.
+    indices: the values of the parameter that are checked; None: all.
     """
     with nova.Tape() as tape:
         tape.backward(forward())
@@ -77,7 +82,7 @@ def check_gradient(
 
 
 class Recorded:
-    """An iteration, recorded at the first call and replayed from then on."""
+    """A training iteration, which the first call records as a graph, and later calls replay."""
 
     def __init__(self, iterate: Callable[[], nova.Tensor]) -> None:
         """Take a function that does one iteration and returns the loss."""
@@ -102,11 +107,12 @@ def train(
     stage: viewer.Stage,
     path: Callable[[np.ndarray], np.ndarray] = lambda q: q.mean(axis=1),
 ) -> list[float]:
-    """Train and show a scene, then save and plot the first and the last rollout.
+    """Train and show a scene, then save and plot the first and the last rollout. Return the losses.
 
-    Return the losses. A scene has forward(), a rollout that returns the loss, train(), one
-    iteration, and a trajectory. `path` returns the points {n, 3} to draw from the positions of a
-    rollout. The default is the path of the centroid.
+    scene: an object with forward(), which runs a rollout and returns the loss, train(), which runs
+    an iteration, and a trajectory.
+    path: returns the points {n, 3} (m) to draw from the positions of a rollout; by default the
+    centroids.
     """
 
     def paths() -> dict[str, np.ndarray]:
@@ -133,7 +139,7 @@ def train(
 
 
 def loss_figure(losses: list[float], loss_label: str, widths: tuple[float, float] = (4.4, 6.6)):
-    """Make a figure with the loss on the left, widths in inches. Return (figure, right axis)."""
+    """Make a figure with the loss on the left; `widths` in inches. Return (figure, right axes)."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -149,7 +155,7 @@ def loss_figure(losses: list[float], loss_label: str, widths: tuple[float, float
 
 
 def save_figure(figure, path: str) -> None:
-    """Write the picture as a whole. An error leaves no part of the file."""
+    """Write the figure atomically: an error leaves no incomplete file."""
     import matplotlib.pyplot as plt
 
     with novaphy.io.atomic_path(path) as temporary:
@@ -158,14 +164,14 @@ def save_figure(figure, path: str) -> None:
 
 
 def dump_states(path: str, q: np.ndarray, substeps: int, losses: list[float]) -> None:
-    """Write positions {steps + 1, n, 3} (m) at every frame and substep, and the losses."""
+    """Write positions q {steps + 1, n, 3} (m), those of frames separately, and the losses."""
     novaphy.io.save_npz(
         path, particle_q=q[::substeps], particle_q_substeps=q, loss=np.float32(losses)
     )
 
 
 def progress(iterations: range):
-    """Show a progress bar on a terminal."""
+    """Return the iterations, with a progress bar on a terminal."""
     if not sys.stderr.isatty():
         return iterations
     try:

@@ -1,16 +1,16 @@
 """Teach an Ant of 182 kg to walk from zero: 80 parameters, analytic gradients, a search at the end.
 
-The actor gives 8 torques 20 times a second. Each torque is the tanh of 10 weights times 10 features
-of a hinge. The features are 1 and two harmonics of a phase, the tilt of the torso towards the leg,
-and the angle and rate of the hinge. Ankles also have height and velocity of the torso, hips its y
-and heading. All weights start at 0.
+The actor computes 8 torques 20 times per second. A torque is the tanh of the dot product of 10
+weights and 10 features of the hinge. The features are 1 and two harmonics of a phase, the tilt of
+the torso towards the leg, and the angle and rate of the hinge. Two more features are the torso's
+height and velocity for an ankle, and the torso's y and heading for a hip. All weights start at 0.
 
-At first a servo at the hinges leads the Ant through a trot (ant_objective.py). The servo fades out
-over the stages, and then the actor walks alone. The frames of a rollout are the worlds of one
-batch. Their derivatives give the gradient and the Gauss-Newton matrix of segments, summed over the
-horizon. A step is kept only if the regular solver measures a lower loss over the whole horizon. All
-candidates are one batch too. At the end the demo prints each bound of the gait with the measured
-value (docs/guide/trained-policy.md).
+At first a servo at the hinges leads the Ant through a trot (ant_objective.py). The servo becomes
+weaker from stage to stage, until the actor walks without it. To compute derivatives, all frames of
+a rollout run in parallel, as worlds of one batch. From the derivatives follow the gradient and the
+Gauss-Newton matrix of segments, summed over the horizon. A step is kept only if the regular solver
+measures a lower loss over the whole horizon. All candidates of a step also run as one batch. At the
+end the demo prints each bound of the gait with the measured value (docs/guide/trained-policy.md).
 
     python demo_diffsim_ant_from_scratch.py
     python demo_diffsim_ant_from_scratch.py --headless 600 --out gait.npz
@@ -58,15 +58,15 @@ from novaphy.envs import ACTIONS, AntWorlds, asset_hash, check_meta
 
 GAIT = DATA / "periodic_ant_natural_gait.npz"
 FEATURES = 10
-HEIGHT = 0.61  # m, of the torso of a walking Ant
+HEIGHT = 0.61  # m, torso height of a walking Ant
 WAVES = ("1", "sin p", "cos p", "sin 2p", "cos 2p")
-# Height and velocity of the torso are features of ankles, its y and heading of hips.
+# Ankles have the torso's height and velocity as features, hips the torso's y and heading.
 NAMES = (*WAVES, "height/y", "velocity/heading", "tilt", "angle", "rate")
-# The scale of the features after the waves, for hips and ankles.
+# The factors of the features after the waves, for hips and ankles in turn.
 SCALE = np.array([[1.0, 3.0, 5.0, 2.0, 0.2], [5.0, 1.0, 5.0, 2.0, 0.2]] * 4)
-ANGLES = ANKLE * np.stack([0.0 * ANKLE_SIGN, ANKLE_SIGN], axis=1).ravel()  # stance, rad
+ANGLES = ANKLE * np.stack([0.0 * ANKLE_SIGN, ANKLE_SIGN], axis=1).ravel()  # rad, in the stance
 OUTWARD = np.repeat(SIDES / np.sqrt(2.0), 2, axis=0)  # direction of the leg of each hinge {8, 2}
-# Strengths of the servo. Then the stages: name, frames, iterations, strength.
+# The decreasing strengths of the servo, and the stages (name, frames, iterations, strength).
 STRENGTHS = (
     0.75, 0.6, 0.5, 0.42, 0.35, 0.28, 0.22, 0.17, 0.13,
     0.1, 0.075, 0.055, 0.04, 0.028, 0.018, 0.01, 0.004,
@@ -78,21 +78,21 @@ STAGES = (
     *((f"400-{strength}", 400, 3, strength) for strength in STRENGTHS),
     ("400", 400, 12, 0.0),
 )
-TROTS = {"stand": 0.0}  # scale of the strides in a stage; 1 in others
-# Stages of `polish`: the wanted distance in FRAMES frames (m). The second runs on request.
+TROTS = {"stand": 0.0}  # stage -> scale of the strides; 1 in all other stages
+# Stages of `polish` -> desired distance in FRAMES frames (m). "stride" runs on request only.
 POLISH = {"polish": 1.3, "stride": 4.1}
-# The stage for --variants, like those of STAGES.
+# The stages for --variants, in the form of STAGES.
 HEADING = (("heading", 200, 8, 0.0),)
-TRAINED_ON = 10_000  # the first seed of training worlds; tests have other seeds
-SMALL = 1e-3  # weight of the regularization of the weights
-LENGTHS = (4, 8, 16)  # frames of segments; each length gives candidates
-CLIP = 2.0  # largest norm of a step
-DAMPING = 10.0 ** np.linspace(-3.5, 3.0, 8)  # relative to the largest curvature
-SHORTEST = 0.05  # smallest scale of a step
+TRAINED_ON = 10_000  # the first seed of training worlds; tests use other seeds
+SMALL = 1e-3  # weight of the actor's squared weights in the loss (regularization)
+LENGTHS = (4, 8, 16)  # segment lengths (frames); each length gives candidates for a step
+CLIP = 2.0  # largest norm of a step of the weights
+DAMPING = 10.0 ** np.linspace(-3.5, 3.0, 8)  # Levenberg damping, relative to the largest curvature
+SHORTEST = 0.05  # smallest factor by which a step is shortened after failures
 CANDIDATES = len(LENGTHS) * len(DAMPING)
-ROWS_AT_ONCE = 256  # rows of the loss at once: frames times worlds
-FALLEN = 50.0  # loss of a frame of an Ant that fell
-CONTACTS = {"pgs_slop": 5e-4}  # m, remaining overlap of feet and ground
+ROWS_AT_ONCE = 256  # rows (frames times worlds) for which the loss is computed at once
+FALLEN = 50.0  # loss per frame of an Ant that has fallen
+CONTACTS = {"pgs_slop": 5e-4}  # m, overlap of feet and ground that the solver leaves
 
 
 def make_worlds(count: int, ant: str) -> AntWorlds:
@@ -108,8 +108,8 @@ class Actor:
         self.weights = np.zeros((ACTIONS, FEATURES)) if weights is None else weights
 
     def features(self, q: np.ndarray, qd: np.ndarray, frame: np.ndarray) -> np.ndarray:
-        """Return the features {n, 8, 10} of the hinges: waves; height and velocity of the torso for
-        ankles, its y and heading for hips; tilt towards the leg; angle and rate of the hinge."""
+        """Return the features {n, 8, 10} of the hinges, in the order of NAMES (see there), for
+        coordinates q {n, 15}, rates qd {n, 14} and frames {n}."""
         q, qd = q.astype(np.float64), qd.astype(np.float64)
         p = np.broadcast_to(phase(frame), (len(q),))
         out = np.empty((len(q), ACTIONS, FEATURES))
@@ -135,7 +135,7 @@ class Actor:
         return out
 
     def act(self, features: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
-        """Return actions {n, 8}. Weights {n, 8, 10} are one set for each row; None: its own."""
+        """Return actions {n, 8}. Weights {n, 8, 10}: one set per row; None: the actor's weights."""
         w = self.weights if weights is None else weights
         return np.tanh((w * features).sum(axis=-1))
 
@@ -153,7 +153,7 @@ class Trainer:
         variants: int = 0,
     ) -> None:
         """Prepare a training with the gradient of the kind "frozen" or "exact". `variants` is the
-        number of worlds that differ and are pushed; 0: one world without changes."""
+        number of worlds with random parameters and pushes; 0: a single world without changes."""
         self.actor, self.kind, self.ant, self.verbose = actor, kind, ant, verbose
         self.variants = max(1, variants)
         self.search = make_worlds(candidates * self.variants, ant)
@@ -194,8 +194,8 @@ class Trainer:
         return total, [x.reshape(horizon, len(total), self.variants, -1) for x in kept]
 
     def squares(self, q: np.ndarray, qd: np.ndarray, a: np.ndarray, end) -> np.ndarray:
-        """Return sums of squared residuals {horizon, n} at the ends of frames. The arrays {horizon,
-        n, ...} are at their starts; `end` is the end of the last frame."""
+        """Return the sums of squared residuals {horizon, n} at the ends of frames. The arrays are
+        values {horizon, n, ...} at the starts of frames; `end` has those after the last frame."""
         horizon, n = a.shape[:2]
         q, qd = (np.concatenate([x[1:], x_end[None]]) for x, x_end in zip((q, qd), end))
         last = np.concatenate([np.zeros((1, n, ACTIONS)), a[:-1]])
@@ -210,9 +210,9 @@ class Trainer:
         return sums
 
     def gradients(self, q: np.ndarray, qd: np.ndarray, a: np.ndarray, variant: int = 0):
-        """Return a gradient {80} and a Gauss-Newton matrix {80, 80} for each length of segments, of
-        the loss of one variant (rollout {horizon, ...}), summed over segments that begin in every
-        frame. The derivatives leave out pushes."""
+        """Return a gradient {80} and a Gauss-Newton matrix {80, 80} for each segment length. Both
+        are sums over segments that begin in every frame, for the loss of one variant with the
+        rollout {horizon, ...}. The derivatives leave out pushes."""
         actor, n = self.actor, len(q)
         if n not in self.frames:
             frames = make_frames(make_worlds(n, self.ant), self.kind)
@@ -229,7 +229,7 @@ class Trainer:
         r, r_state, r_action = residuals(*ends, a, before, at, self.weights, self.trot)
         self.label = frames.label()
         slope = 1.0 - a**2
-        # Derivatives of actions with respect to states, and to weights.
+        # Derivatives of actions by states, and by weights.
         of_state = np.einsum(
             "na,af,nafs->nas", slope, actor.weights, actor.feature_jacobian(q), optimize=True
         )
@@ -244,7 +244,7 @@ class Trainer:
         last = np.zeros((n, ACTIONS, 80), np.float32)
         lengths = {min(length, n) for length in LENGTHS}
         for step in range(max(lengths)):
-            rows = slice(step, n)  # the frames with this index in a segment
+            rows = slice(step, n)  # the frames that are number `step` in some segment
             action = direct[rows] + of_state[rows] @ change[: n - step]
             change = by_state[rows] @ change[: n - step] + by_action[rows] @ action
             j = r_state[rows] @ change + r_action[rows] @ (action - last[: n - step])
@@ -279,8 +279,8 @@ class Trainer:
     def stage(
         self, name: str, horizon: int, iterations: int, strength: float, until: float
     ) -> float:
-        """Run the iterations of a stage. Return the share of them that lowered the loss. A failed
-        step is tried again, shorter; after three failures the stage ends."""
+        """Run the iterations of a stage. Return the share of iterations that lowered the loss.
+        After a failed step the next one is shorter; after three failures the stage ends."""
         actor, accepted, tried = self.actor, 0, 0
         self.enter(name, strength)
         losses, kept = self.rollouts(np.tile(actor.weights, (CANDIDATES, 1, 1)), horizon)
@@ -377,7 +377,7 @@ def validate(
 def polished(
     actor: Actor, stage: str, ant: str, seed: int, generations: int, until: float = np.inf
 ) -> list[float]:
-    """Improve the weights by `polish`. Return the excess of the best of every generation."""
+    """Improve the actor's weights by `polish`. Return the best `excess` of every generation."""
     ants = make_worlds(POLISHED * len(FLOORS), ant)
     ants.vary(friction=np.tile(FLOORS, POLISHED))
 
@@ -397,7 +397,7 @@ def polished(
 
 
 def checks_of(result: dict[str, np.ndarray], ratio: float) -> dict[str, tuple[bool, str]]:
-    """Return the checks of 600 frames by name: whether each passed, and the measured value."""
+    """Return the checks of a gait over 600 frames: name -> (passed, measured value as text)."""
     r = {k: v[0] for k, v in result.items() if k != "path"}
     touch = r["touchdowns"]
     return {
@@ -419,7 +419,7 @@ def checks_of(result: dict[str, np.ndarray], ratio: float) -> dict[str, tuple[bo
 
 
 def friction_ratio(actor: Actor, ant: str, frames: int) -> float:
-    """Return the ratio of the shorter to the longer distance at friction 0.5 and 1.2."""
+    """Return the shorter of the distances at friction 0.5 and 1.2, divided by the longer one."""
     ants = make_worlds(2, ant)
     ants.vary(friction=[0.5, 1.2])
     distance = validate(actor, ants, range(frames))["distance"]
@@ -427,7 +427,7 @@ def friction_ratio(actor: Actor, ant: str, frames: int) -> float:
 
 
 def robustness(actor: Actor, ant: str, seeds: int, frames: int) -> float:
-    """Print how Ants that differ and are pushed walk. Return the share that stays upright."""
+    """Print how disturbed Ants walk (ant_robustness.py). Return the share that stays upright."""
     parts = [(), *((name,) for name in ALL), ALL]
     upright = np.ones(1)
     for names in parts:

@@ -1,18 +1,18 @@
 """Play a trained Ant, and fine-tune the biases of its last layer by an analytic gradient.
 
-The actor (111-256-256-8) sees the Ant 20 times a second and gives torques for 50 steps of 1 ms.
-With --train the biases before the last tanh move against the gradient of
+The actor (111-256-256-8) reads observations 20 times per second, and gives torques for 50 steps of
+1 ms. With --train, gradient descent changes the biases before the last tanh. The loss over H
+frames, from eight states of walking Ants (--starts) in one batch, is
 
     -(x_H - x_0) / (0.05 H) + mean y^2 + mean tilt^2 + 1e-3 mean |change of the actions|^2
 
-over H frames, from eight states of walking Ants (--starts) in one batch. y is the lateral offset
-(m), and tilt is the angle of the torso (rad).
+with the position x and the lateral offset y (m), and the angle of the torso, tilt (rad).
 
-The gradient is a direct force sensitivity. The torques of the biases go through the mass matrix of
-every step of 1 ms, projected into the null space of the contacts' normals. Longer horizons are cut
-into segments of --segment frames, whose gradients are summed, because a gradient through many
-contacts is of no use. A candidate is kept only if the regular solver measures a lower loss over the
-whole horizon. --train-weights all tunes all weights of the actor in the same way.
+The gradient follows the effect of torques through the mass matrix of every step of 1 ms, projected
+onto the null space of the contacts' normals. A gradient through many contacts is useless. Therefore
+longer horizons are cut into segments of --segment frames, and the gradients of segments are summed.
+A step is kept only if the regular solver measures a lower loss over the whole horizon.
+--train-weights all tunes all weights of the actor in the same way.
 
     python demo_diffsim_ant_walk.py
     python demo_diffsim_ant_walk.py --headless 200
@@ -50,28 +50,28 @@ from novaphy import nova, viewer
 from novaphy.envs import ACTIONS, AntWorlds, rotate, rotate_back
 
 POLICY = DATA / "ant_walker.npz"
-WARM_UP = 40  # frames of walking before the starts
-STEPS = 2.0 ** -np.arange(0.0, 6.0)  # sizes of the candidates, relative to LARGEST
-LARGEST = 0.03  # largest change of a bias in a step; for all weights, of the norm
-# The terms of a gradient besides frozen dynamics with frozen normals.
+WARM_UP = 40  # frames of walking before the states at which rollouts start
+STEPS = 2.0 ** -np.arange(0.0, 6.0)  # step sizes that are tried, relative to LARGEST
+LARGEST = 0.03  # largest change of a bias in a step; with all weights, of the norm of the change
+# --gradient -> terms that the gradient includes besides frozen dynamics with frozen normals.
 KINDS = {"frozen": (), "sticking": ("sticking",), "exact": ("observations",)}
-# The parts that a gradient leaves out, unless it has the term.
+# Term -> the part of the derivative that a gradient without the term leaves out.
 LEFT_OUT = {
     "dynamics": "derivatives of mass matrix and bias",
     "sticking": "friction tangents",
     "observations": "observations across the 20 Hz refresh",
 }
-BIASES = ("mu.bias",)  # the tuned arrays, without --train-weights all
-MOST_FRAMES = 16_000  # starts times horizon; a frame takes 0.17 MB
-ADAPTED = {"friction": 0.5, "torso_mass": 1.2}  # besides, one hip loses 30 % of its gear
-HELD_OUT, HELD_OUT_FRAMES = (2001, 2002, 2003), 200  # seeds of the test starts
+BIASES = ("mu.bias",)  # the arrays that are tuned without --train-weights all
+MOST_FRAMES = 16_000  # limit of starts times horizon, because a frame takes 0.17 MB
+ADAPTED = {"friction": 0.5, "torso_mass": 1.2}  # --adapt; one hip also loses 30 % of its gear
+HELD_OUT, HELD_OUT_FRAMES = (2001, 2002, 2003), 200  # seeds of starts for the final test; frames
 EYE = np.eye(3)
 
 Actor = dict[str, nova.Tensor]
 
 
 def adapted_gear() -> np.ndarray:
-    """Return the factors {8} of the torques of the actions: the first hip has 0.7."""
+    """Return the gear factors {8} of the actions: 0.7 for the first hip, else 1."""
     gear = np.ones(ACTIONS)
     gear[0] = 0.7
     return gear
@@ -82,14 +82,14 @@ class Tuning:
     are one vector: the eight biases, or the actor's arrays, flat, in the order of their names."""
 
     def __init__(self, actor: Actor, args: argparse.Namespace) -> None:
-        """Let Ants walk for WARM_UP frames. Their states are the starts of the rollouts."""
+        """Let Ants walk for WARM_UP frames. Rollouts start at the states that they reach."""
         self.starts_count = args.starts
         self.actor, self.ant, self.adapt = actor, args.ant, args.adapt
         self.horizon, self.segment = args.train_horizon, args.segment
         self.kind, self.terms = args.gradient, KINDS[args.gradient]
         self.names = BIASES if args.train_weights == "biases" else tuple(actor)
         self.values = np.concatenate([actor[k].numpy().ravel() for k in self.names]).astype(float)
-        self.shift = 0  # frames before the first segment; grows after a failed step
+        self.shift = 0  # number of frames before the first segment, increased after a failed step
         warm = self.worlds(self.starts_count, seed=args.seed, noise=0.1)
         for _ in range(WARM_UP):
             warm.step(act(actor, warm.observations()))
@@ -99,7 +99,7 @@ class Tuning:
         self.search = self.worlds(self.starts_count * len(STEPS))
 
     def worlds(self, count: int, **options) -> AntWorlds:
-        """Make worlds of Ants, with --adapt with the changes to which the actor adapts."""
+        """Make worlds of Ants, with --adapt with the changes to which the actor should adapt."""
         ants = AntWorlds(count, ant=self.ant, **options)
         if self.adapt:
             ants.vary(**ADAPTED, gear=np.tile(adapted_gear(), (count, 1)))
@@ -135,7 +135,7 @@ class Tuning:
             blocks = zip(values, np.split(observations, len(values)))
             means = [mean_action(self.with_values(v), nova.tensor(x)).numpy() for v, x in blocks]
             return np.concatenate(means).astype(np.float64)
-        # The sum is in double precision, so that small differences of biases count.
+        # The sum is in double precision, so that small differences of biases are not rounded off.
         plain = mean_action(self.actor, nova.tensor(observations)).numpy().astype(np.float64)
         bias = np.repeat(values, len(observations) // len(values), axis=0)
         return plain - self.actor["mu.bias"].numpy() + bias
@@ -172,7 +172,7 @@ class Tuning:
         up = rotate(q[:, 3:7].astype(np.float64), np.broadcast_to(EYE[2], (len(q), 3)))
         side = np.linalg.norm(up[:, :2], axis=1)
         angle = np.arctan2(side, up[:, 2])
-        # d angle = d|side| / up_z, because |up| stays 1.
+        # d(angle) = d|side| / up_z, because |up| = 1.
         g_up = np.zeros_like(up)
         scale = 2.0 * angle / np.maximum(side, 1e-9) / up[:, 2]
         g_up[:, :2] = up[:, :2] * scale[:, None]
@@ -251,7 +251,7 @@ class Tuning:
     def train(self) -> tuple[float, float, bool]:
         """Take one step. Return the loss before and after it, and whether a candidate was kept."""
         gradient = self.gradient(self.values)
-        # Biases: the largest component. All weights: the norm, because they act together.
+        # The step is scaled by the largest component for biases, and by the norm for all weights.
         size = np.linalg.norm(gradient, np.inf if self.names == BIASES else 2)
         direction = gradient / max(size, 1e-12)
         candidates = self.values - LARGEST * STEPS[:, None] * direction
@@ -269,7 +269,7 @@ class Tuning:
         return self.with_values(self.values)
 
     def replay(self, records: list[dict], values: np.ndarray) -> float:
-        """Return the loss of other values along the linearized frames, with the stored matrices."""
+        """Return the loss of other values, by the linearized dynamics that the frames stored."""
         ants, dt = self.frames.ants, self.frames.ants.dt
         columns = 6 + np.array(ants.hinge_of_action)
         e, v = np.zeros((2, ants.num_worlds, DOFS))
@@ -293,13 +293,13 @@ class Tuning:
         return float((total - way / (0.05 * self.horizon)).sum() / self.starts_count)
 
     def directions(self) -> np.ndarray:
-        """Return eight directions {8, ...}: the biases, or random ones of all weights."""
+        """Return eight directions {8, ...}: one per bias, or random directions of all weights."""
         if self.names == BIASES:
             return np.eye(ACTIONS)
         return np.random.default_rng(0).standard_normal((ACTIONS, self.values.size))
 
     def check_gradient(self) -> bool:
-        """Compare the gradient with differences of the replay and of simulated rollouts."""
+        """Compare the gradient with differences of `replay` and of simulated rollouts."""
         passed, ways = True, self.directions()
         if self.kind != "exact":
             records = self.record(self.values)
@@ -402,7 +402,7 @@ def play(actor: Actor, args: argparse.Namespace) -> dict[str, bool]:
         f"slip {r['slip'][0]:.0%} of the distance, tilt at most {r['tilt'][0]:.1f} degrees"
     )
     checks = {"an Ant that stays up": alive}
-    if args.headless >= FPS:  # at first the Ant falls on its feet
+    if args.headless >= FPS:  # in the first second the Ant drops onto its feet
         checks["a way forward"] = way > 0.0
     return checks
 

@@ -1,9 +1,9 @@
 """Throw a ball off a wall so that it lands on a target, by gradient descent through the simulation.
 
 The initial velocity of one particle is optimized. Every step of the simulation runs on the regular
-arrays of a ``SimState`` and is recorded by a ``nova.Tape``; ``tape.backward(loss)`` pulls the
-gradient of the landing error back through 288 substeps with two contacts. Contacts are found once,
-from the first state, so the wall is the half-space behind its face.
+arrays of a ``SimState`` and is recorded by a ``nova.Tape``. ``tape.backward(loss)`` computes the
+gradient of the landing error through 288 substeps with two contacts. Contacts are found only once,
+in the first state, so the wall acts as the half-space behind its front face.
 
     python demo_diffsim_ball.py
     python demo_diffsim_ball.py --headless 150 --plot ball.png --record ball.html
@@ -68,7 +68,7 @@ class Ball:
         self.velocity = diff.state_particle_qd_tensor(self.states[0], requires_grad=True)
 
     def forward(self) -> nova.Tensor:
-        """Run all substeps; the squared distance of the last position to the target, {1}."""
+        """Run all substeps. Return the squared distance {1} (m²) of the ball to the target."""
         for state, next_state in zip(self.states, self.states[1:]):
             state.clear_forces()
             self.solver.step(state, next_state, self.control, self.contacts, DT)
@@ -150,7 +150,7 @@ def main() -> int:
         dump_states(args.dump_states, trajectories[-1], SUBSTEPS, losses)
     if args.plot:
         plot(args.plot, losses, trajectories)
-    drops = -np.diff(losses[:31])  # later the loss may jump when a contact opens or closes
+    drops = -np.diff(losses[:31])  # later the loss may jump when a contact begins or ends
     checks["a loss that falls by 1e-3 m² in each of 30 iterations"] = bool(np.all(drops > 1.0e-3))
     checks["a loss that falls"] = final < losses[0] or not args.headless
     print(

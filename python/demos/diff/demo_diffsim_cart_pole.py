@@ -22,8 +22,8 @@ from novaphy import diff, nova, viewer
 
 STEPS, DT, FORCES = 480, 1.0 / 240.0, 60
 FPS, SUBSTEPS = 60, 4
-LENGTH, CART, POLE = 0.5, 1.0, 0.2  # m to the pole's center of mass, kg, kg
-LEARNING_RATE, EFFORT = 0.4, 1e-4  # N, falling as 1 / (1 + iteration / 100); 1/N^2
+LENGTH, CART, POLE = 0.5, 1.0, 0.2  # hinge to the pole's center of mass (m), masses (kg)
+LEARNING_RATE, EFFORT = 0.4, 1e-4  # N, decays as 1 / (1 + iteration / 100); 1/N², force weight
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 FLOATING = (0.0, 0.0, 1.0, *IDENTITY)
 
@@ -58,13 +58,14 @@ class CartPole:
         self.controls = [self.model.control() for _ in range(FORCES)]
         for control in self.controls:
             control.joint_f.requires_grad = True
-        # The first force oscillates at the pole's frequency. From rest both directions are equal.
+        # The initial force oscillates at the pole's frequency. A force of 0 has a gradient of 0,
+        # because swinging up in both directions is equally good.
         self.forces = 2.0 * np.sin(np.arange(FORCES) * (STEPS / FORCES * DT) * 4.4)
         self.moments = np.zeros((2, FORCES))
         self.iterations = 0
 
     def forward(self) -> nova.Tensor:
-        """Run all substeps; how far the end is from upright, in the middle and at rest, {1}."""
+        """Run all substeps. Return the loss {1}: the distance of the final state from the goal."""
         for control, force in zip(self.controls, self.forces, strict=True):
             control.joint_f.assign(np.float32([force, 0.0]))
         self.solver.rollout(self.trajectory, self.controls, None, DT)
@@ -74,7 +75,7 @@ class CartPole:
         return upright + 0.3 * q[0:1] * q[0:1] + 0.05 * nova.sum(qd * qd)
 
     def gradient(self) -> tuple[float, np.ndarray]:
-        """Return the loss with the effort, and its gradient with respect to the forces."""
+        """Return the loss plus the weighted squared forces, and the gradient by the forces."""
         with nova.Tape() as tape:
             loss = self.forward()
             tape.backward(loss)
@@ -129,8 +130,10 @@ class CartPole:
         return {"path": np.stack([x, np.zeros_like(x), z], axis=1).astype(np.float32)}
 
     def coordinates(self) -> np.ndarray:
-        """Return the cart's position (m) and the pole's angle (rad) over the last rollout, {steps +
-        1, 2}.
+        """Return the cart's position (m) and the pole's angle (rad) of all states of the last
+        rollout.
+
+        The shape is {steps + 1, 2}.
         """
         return np.array([self.trajectory[t].joint_q.numpy() for t in range(STEPS + 1)])
 

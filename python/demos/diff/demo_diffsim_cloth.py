@@ -37,7 +37,7 @@ CELLS = 16
 
 
 def build_model(device: str) -> novaphy.Model:
-    """Build a cloth, turned by 135 degrees about y."""
+    """Build a cloth, rotated by 135 degrees about y."""
     half = -0.75 * np.pi / 2.0
     builder = novaphy.ModelBuilder()
     builder.default_particle_radius = 0.01
@@ -59,7 +59,7 @@ def build_model(device: str) -> novaphy.Model:
 
 
 class Cloth:
-    """The rollout, its loss and the velocities that are optimized."""
+    """The rollout of the cloth, its loss, and the initial velocities that are optimized."""
 
     def __init__(self, device: str) -> None:
         self.model = build_model(device)
@@ -70,7 +70,7 @@ class Cloth:
         self.train = Recorded(self.iterate)
 
     def forward(self) -> nova.Tensor:
-        """Run all substeps; the squared distance of the last centroid to the target, {1}."""
+        """Run all substeps. Return the squared distance {1} (m²) of the centroid to the target."""
         self.solver.rollout(self.trajectory, None, None, DT)
         last = diff.state_particle_q_tensor(self.trajectory[STEPS])
         return diff.vec3_point_loss_generated(diff.particle_centroid_generated(last), *TARGET)

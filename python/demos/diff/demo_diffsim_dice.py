@@ -2,13 +2,13 @@
 
 A die of 12 kg falls from 0.6 m with a fixed linear velocity. The initial angular velocity is
 optimized. After 0.8 s (768 substeps) the x axis of the die should point up, and the die should be
-at rest. Contacts of the corners with the ground are found in every substep. The loss has a step for
-each face. Every update is therefore a clipped gradient step whose length is halved until the loss
-falls. The demo then starts from seeded random spins.
+at rest. Contacts of the corners with the ground are found in every substep. The loss jumps between
+faces. Therefore every update is a clipped gradient step, whose length is halved until the loss
+falls. Then the demo repeats the optimization from random initial spins with fixed seeds.
 
-A single die uses the generated operator, which finds the corners in its own kernel. Several dice
-(`--dice`) are thrown side by side and may collide. A collision pipeline finds their contacts in
-every substep, and the gradient includes both bodies of a contact.
+A single die uses a generated operator, which finds the contacts of corners in its kernel. Several
+dice (`--dice`) are thrown side by side and may collide. A collision pipeline finds their contacts
+in every substep, and the gradient includes both bodies of a contact.
 
     python demo_diffsim_dice.py
     python demo_diffsim_dice.py --dice 3 --starts 0
@@ -37,7 +37,7 @@ from novaphy import diff, nova, viewer
 
 FPS, SUBSTEPS, FRAMES = 60, 16, 48
 STEPS, DT = SUBSTEPS * FRAMES, 1.0 / (FPS * SUBSTEPS)
-HALF, SPACING = 0.1, 0.4  # m
+HALF, SPACING = 0.1, 0.4  # half an edge, distance of dice (m)
 START = (0.0, 0.0, 0.6, 0.0, 0.0, 0.0, 1.0)
 PENETRATING = (0.0, 0.0, 0.13, 0.11, -0.21, 0.29, 0.927)  # a pose with a corner in the ground
 VELOCITY, SPIN = (1.0, 0.0, 0.0), (1.0, 5.0, 2.0)
@@ -82,13 +82,13 @@ class Dice:
 
     @property
     def gradient(self) -> str:
-        """Which gradient is used."""
+        """A description of the gradient that is used."""
         if self.pipeline is None:
             return "generated operator, exact"
         return "contacts found anew in every substep, exact but for coinciding features"
 
     def forward(self) -> nova.Tensor:
-        """Run all substeps; how far the x axes are from upwards, and what still moves, {1}."""
+        """Run all substeps. Return the sum {1} of the dice's losses."""
         twist = diff.body_twist_from_omega_generated(self.spin, *VELOCITY)
         diff.state_body_qd_tensor(self.trajectory[0]).copy_(twist)
         self.solver.rollout(self.trajectory, None, None, DT, pipeline=self.pipeline)
@@ -101,8 +101,8 @@ class Dice:
     def loss(self, end: novaphy.SimState, die: int) -> nova.Tensor:
         """Return the loss {1} of one die.
 
-        The loss is the distance of the x axis of the die from upwards, and a term of the remaining
-        motion.
+        The loss has two terms: 1 - cosine of the angle between the die's x axis and the vertical,
+        and the remaining motion.
         """
         return diff.rigid_orientation_velocity_loss_generated(
             diff.state_body_q_tensor(end),
@@ -112,7 +112,7 @@ class Dice:
             target_axis_a=(0.0, 0.0, 1.0),
             local_axis_b=(0.0, 1.0, 0.0),
             target_axis_b=(0.0, 1.0, 0.0),
-            axis_weight_b=0.0,  # any yaw; a weight would make a local minimum half a turn away
+            axis_weight_b=0.0,  # any yaw; a weight would add a local minimum half a turn away
             target_height=HALF,
             height_weight=1.0,
             linear_velocity_weight=0.01,
@@ -120,8 +120,7 @@ class Dice:
         )
 
     def iterate(self) -> tuple[float, bool]:
-        """Compute one gradient. For each die take the first of the halved steps that lowers the
-        loss.
+        """Compute a gradient, and for each die halve the step until the loss falls.
 
         Return the loss before the steps, and whether any step was taken.
         """
@@ -138,7 +137,8 @@ class Dice:
         return before, moved
 
     def search(self, die: int, gradient: np.ndarray, before: float) -> tuple[float, bool]:
-        """Search a step of one die's spin. Return the loss after it, and whether it was taken."""
+        """Halve the step of one die's spin until the loss falls. Return the loss, and whether a
+        step was taken."""
         start = self.spin.numpy()
         length = float(np.linalg.norm(gradient))
         if not np.isfinite(length) or length == 0.0:
@@ -183,7 +183,7 @@ class Dice:
         """Return the number of dice that end the last rollout at rest with the face up."""
         end = self.trajectory[self.trajectory.steps]
         x, y, z, w = end.body_q.numpy()[:, 3:].T
-        up = 2.0 * (x * z - w * y)  # the height of the dice's x axes
+        up = 2.0 * (x * z - w * y)  # vertical components of the dice's x axes
         still = np.linalg.norm(end.body_qd.numpy(), axis=1) < 0.5
         return int((still & (up > 0.99)).sum())
 
@@ -201,7 +201,7 @@ def success_rate(device: str, starts: int, iterations: int) -> int:
 
 
 def plot(path: str, losses: list[float], rollouts: list[np.ndarray]) -> None:
-    """Draw the loss, and the height of the die's x axis and center, first and last rollout."""
+    """Draw the loss, and x axis and center height of the die in the first and last rollout."""
     figure, right = loss_figure(losses, "loss")
     time = np.arange(STEPS + 1) * DT
     for q, color, name in zip(rollouts, ("#adb5bd", "#2a6f97"), ("before", "after"), strict=True):

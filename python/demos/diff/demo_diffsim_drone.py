@@ -1,11 +1,12 @@
 """Fly a drone to a waypoint, where it hovers.
 
-A drone of 1.2 kg hovers with four rotors, which turn left and right alternately. Four commands over
-1.5 s are optimized: lift, roll, pitch and yaw, with 9 values each and linear in between. They give
-the thrust of each rotor. At the end the drone should be at the waypoint, upright and at rest.
+A drone of 1.2 kg hovers with four rotors, which rotate in alternating directions. Four commands
+over 1.5 s are optimized: lift, roll, pitch and yaw, with 9 values each that are interpolated
+linearly. The commands give the thrust of each rotor. At the end the drone should be at rest at the
+waypoint, upright.
 
-The forces of the rotors turn with the pose. A kernel of this file converts the thrusts to the
-wrench on the body in each of the 300 substeps. The adjoint of the kernel is generated.
+The thrusts act along the drone's axis. A kernel of this file converts the thrusts to the wrench on
+the body in each of the 300 substeps. The adjoint of the kernel is generated.
 
     python demo_diffsim_drone.py
     python demo_diffsim_drone.py --headless 100 --plot drone.png --record drone.html
@@ -33,13 +34,13 @@ from novaphy import diff, nova, viewer
 
 FPS, SUBSTEPS, FRAMES = 50, 4, 75
 STEPS, DT = SUBSTEPS * FRAMES, 1.0 / (FPS * SUBSTEPS)
-HALF = (0.1, 0.1, 0.03)  # m
+HALF = (0.1, 0.1, 0.03)  # half extents (m)
 MASS, GRAVITY = 1.2, 9.81
-ARM = 0.15  # m, along x and y
-SENSES = (1.0, -1.0, 1.0, -1.0)  # senses of rotation of the rotors, in order around the drone
-DRAG = 0.02  # m: moment about the axis of a rotor, per thrust
+ARM = 0.15  # m, distance of a rotor from the center along x and along y
+SENSES = (1.0, -1.0, 1.0, -1.0)  # direction of rotation of each rotor, in order around the drone
+DRAG = 0.02  # m: moment about the axis of a rotor (N m) per thrust (N)
 KNOTS = 9
-# N: the change of the thrust of each rotor by a unit of lift, roll, pitch and yaw
+# Change of the thrusts (N) per unit of a command. Rows: lift, roll, pitch, yaw. Columns: rotors.
 MIX = np.float32(
     [[1, 1, 1, 1], [0.1, 0.1, -0.1, -0.1], [-0.1, 0.1, 0.1, -0.1], [0.1, -0.1, 0.1, -0.1]]
 )
@@ -79,7 +80,7 @@ def rotor_wrench(c: nova.TraceContext) -> list[nova.Real]:
 
 
 def interpolation() -> np.ndarray:
-    """Return the weights {steps, knots} by which knots give the commands of substeps."""
+    """Return weights {steps, knots} that interpolate the commands of knots linearly to substeps."""
     at = np.linspace(0.0, KNOTS - 1.0, STEPS)[:, None]
     return np.maximum(0.0, 1.0 - np.abs(at - np.arange(KNOTS))).astype(np.float32)
 

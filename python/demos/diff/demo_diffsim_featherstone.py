@@ -36,10 +36,11 @@ START, VELOCITY = (0.4, -0.6), (1.0, -0.5)
 TARGET = (0.35, -0.75)  # m, x and z
 ANGULAR_DAMPING = 0.0  # 1/s
 LEARNING_RATE, SMALLEST_RATE = 16.0, 1e-3
-COLORS = ((0.16, 0.44, 0.72), (0.95, 0.50, 0.05))  # link 1 blue, link 2 orange
-GROUND, CHECKER = (0.96, 0.96, 0.96), 0.93  # white, and the contrast to its black fields
+COLORS = ((0.16, 0.44, 0.72), (0.95, 0.50, 0.05))  # blue link 1, orange link 2
+GROUND, CHECKER = (0.96, 0.96, 0.96), 0.93  # white squares, and the contrast to the black squares
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
-# Loss and gradient of the first iteration, in float64 (tests/golden/newton_2r_strict.npz).
+# Reference loss and gradient of the first iteration, in float64
+# (tests/golden/newton_2r_strict.npz).
 EXACT_LOSS, EXACT_GRADIENT = 1.09098, (0.32981, 0.11073)
 
 
@@ -83,11 +84,11 @@ class Arm:
 
     @property
     def velocities(self) -> nova.Tensor:
-        """What is optimized: joint_qd of the first state, {2}, rad/s."""
+        """The optimized parameters: joint_qd of the first state {2} (rad/s)."""
         return self.qd[0]
 
     def forward(self) -> nova.Tensor:
-        """Run all substeps, recorded on an active tape; the squared distance to the target, {1}."""
+        """Run all substeps, recorded on an active tape. Return the squared distance {1} (m²)."""
         for t in range(STEPS):
             old, new = self.states[t], self.states[t + 1]
             self.solver.step(old, new, None, None, DT)
@@ -114,9 +115,9 @@ class Arm:
         return loss.item(), gradient
 
     def iterate(self) -> tuple[float, bool]:
-        """Compute one gradient, and take the first of the halved steps that lowers the loss.
+        """Compute a gradient, and halve the step until the loss falls.
 
-        The first step has the length of Barzilai and Borwein (1988), from the change of the
+        The initial step length is that of Barzilai and Borwein (1988), from the change of the
         gradient. Return the loss before the step, and whether a step was taken.
         """
         before, gradient = self.gradient()
@@ -158,7 +159,7 @@ class Arm:
 
 
 def tips(q: np.ndarray) -> np.ndarray:
-    """Return the points of the tip {n, 3} (m) at the angles q {n, 2} (rad)."""
+    """Return the positions of the tip {n, 3} (m) at the joint angles q {n, 2} (rad)."""
     first, both = q[:, 0], q[:, 0] + q[:, 1]
     x = LENGTH * (np.cos(first) + np.cos(both))
     z = -LENGTH * (np.sin(first) + np.sin(both))
@@ -166,7 +167,7 @@ def tips(q: np.ndarray) -> np.ndarray:
 
 
 def plot(path: str, losses: list[float], rollouts: list[np.ndarray]) -> None:
-    """Draw the loss, and the way of the tip of the first and the last rollout."""
+    """Draw the loss, and the path of the tip in the first and the last rollout."""
     figure, right = loss_figure(losses, "squared distance [m²]")
     for q, color, name in zip(rollouts, ("#adb5bd", "#d62828"), ("before", "after"), strict=True):
         way = tips(q)
@@ -185,7 +186,7 @@ def plot(path: str, losses: list[float], rollouts: list[np.ndarray]) -> None:
 
 
 def check_start(arm: Arm) -> dict[str, bool]:
-    """Compare the gradient of the first rollout with central differences and the exact one."""
+    """Compare the gradient of the first rollout with central differences and the reference."""
     loss, gradient = arm.gradient()
     return {
         "a gradient within the tolerance": check_gradient(arm.velocities, arm.forward, 1e-2, 1e-3),

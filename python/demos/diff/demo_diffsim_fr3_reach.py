@@ -22,12 +22,12 @@ from novaphy import diff, nova, viewer
 
 STEPS, DT, KNOTS = 180, 1.0 / 240.0, 4
 FPS, SUBSTEPS = 60, 4
-HOME = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])  # rad
-KE, KD = 600.0, 50.0  # N m/rad, N m s/rad
-PLACE = (0.45, 0.3, 0.35)  # m, the wanted position of the hand
-TURN = (0.9239, -0.3827, 0.0, 0.0)  # xyzw: the hand points down, turned by 45 degrees
-WEIGHTS = (1.0, 0.1, 0.0005)  # of squares: distance (1/m^2), sin(angle / 2), rates (s^2/rad^2)
-LEARNING_RATE = 0.1  # rad, falling as 1 / (1 + iteration / 50)
+HOME = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])  # initial (rad)
+KE, KD = 600.0, 50.0  # N m/rad, N m s/rad: gains of the drives
+PLACE = (0.45, 0.3, 0.35)  # m, the goal of the hand's position
+TURN = (0.9239, -0.3827, 0.0, 0.0)  # xyzw, the goal: the hand points down, rotated by 45 degrees
+WEIGHTS = (1.0, 0.1, 0.0005)  # of the squared distance (1/m²), sin(angle / 2), rates (s²/rad²)
+LEARNING_RATE = 0.1  # rad, decays as 1 / (1 + iteration / 50)
 
 
 def build_model(device: str) -> tuple[novaphy.Model, int]:
@@ -61,7 +61,7 @@ class Reach:
         self.goal[3:] /= np.linalg.norm(self.goal[3:])
 
     def forward(self) -> nova.Tensor:
-        """Run all substeps; how far the hand ends from its goal and from rest, {1}."""
+        """Run all substeps. Return the loss {1}: how far the hand is from goal and rest."""
         for control, targets in zip(self.controls, self.targets, strict=True):
             control.joint_target_q.assign(np.float32([*targets, 0.04, 0.04]))
         self.solver.rollout(self.trajectory, self.controls, None, DT)
@@ -139,7 +139,7 @@ class Reach:
 
 
 def plot(path: str, losses: list[float], scene: Reach) -> None:
-    """Draw the loss, and targets and axes of the last rollout."""
+    """Draw the loss, and the target and actual angles of the axes in the last rollout."""
     figure, right = loss_figure(losses, "loss")
     right.set_prop_cycle(None)
     time = np.arange(STEPS + 1) * DT

@@ -3,13 +3,13 @@
 The seven axes of a Franka Research 3 follow four key poses with their drives for 1 s: 1,000 steps
 of SolverFeatherstone. The tip of the hand is a sphere that pushes a box along x, against friction
 (integrate_push_box_rollout_generated). The key poses are optimized, so that the box stops at x =
-0.70 m, with the tip on its line and slow joints.
+0.70 m, the tip moves along a straight line, and the joints move slowly.
 
-The gradient is a product of two factors. A tape gives the adjoints of the contact.
-FeatherstoneAnalyticControlSensitivity gives the derivative of the tip's motion by the key poses.
-The contact is a smooth surrogate, and the box does not push back. The derivative freezes the arm's
-mass matrix and forces, unless --gradient is exact. With --contact full, arm and box are one
-simulation (franka_contact.py).
+The gradient is a product of two factors. The first factor is the adjoint of the contact, from a
+tape. The second factor is the derivative of the tip's motion by the key poses, from
+FeatherstoneAnalyticControlSensitivity. The contact is a smooth surrogate without a reaction on the
+arm. The derivative treats the arm's mass matrix and forces as constants, unless --gradient is
+exact. With --contact full, arm and box are one simulation (franka_contact.py).
 
     python demo_diffsim_franka_push_box.py
     python demo_diffsim_franka_push_box.py --train 5 --plot franka.png
@@ -36,19 +36,19 @@ KE = (600.0, 600.0, 600.0, 600.0, 250.0, 150.0, 50.0)  # N m/rad
 KD = (50.0, 50.0, 50.0, 50.0, 30.0, 25.0, 15.0)  # N m s/rad
 FINGER_KE, FINGER_KD = 1e3, 50.0  # N/m, N s/m: drives that keep the fingers closed
 TIP = (0.0, 0.0, 0.107 + 0.1034)  # m, in the frame of link 7
-LINE = (0.0, 0.10)  # m, y and z of the tip
+LINE = (0.0, 0.10)  # m, y and z of the line on which the tip should move
 START = (0.40, 0.45, 0.50, 0.55)  # m, x of the tip at the key poses
 NO_CONTACT = "no contact: the box does not move at all, so there is no gradient"
-# The box: half extent and start (m), mass (kg), friction; the tip's sphere (m) and the contact.
+# Box: half extent (m), initial x (m), mass (kg), friction. Radius of the tip (m); contact gains.
 HALF, BOX, MASS, FRICTION, RADIUS, CONTACT_KE, CONTACT_KD = 0.05, 0.55, 0.5, 0.3, 0.02, 2e3, 5.0
-MARK = 0.70  # m
-SLOW, OFF_LINE, CALM = 0.01, 4.0, 1e-5  # weights: box speed, tip, joint speeds
-SAMPLE = 10  # steps between two samples of the tip's line and of the joints' speeds
-DAMPING, TRIES = 1e-4, 8  # first damping of Levenberg-Marquardt, tries of a step
+MARK = 0.70  # m, the goal of the box
+SLOW, OFF_LINE, CALM = 0.01, 4.0, 1e-5  # weights of box speed, tip's distance to line, joint speeds
+SAMPLE = 10  # steps between two samples of the tip's distance and of the joint speeds
+DAMPING, TRIES = 1e-4, 8  # initial damping of Levenberg-Marquardt, largest number of tries per step
 
 
 def build_model(device: str, with_box: bool = False) -> novaphy.Model:
-    """Build the arm from its file, with drives; with_box: the model for the viewers."""
+    """Build the arm from its file, with drives. with_box: build the model for viewers instead."""
     builder = novaphy.ModelBuilder()
     looks = novaphy.ShapeConfig(density=0.0)
     builder.add_ground_plane(cfg=looks)
@@ -88,9 +88,9 @@ def index_of(labels: list[str], name: str) -> int:
 
 
 def key_weights() -> tuple[np.ndarray, np.ndarray]:
-    """Return the derivatives of pose and rate of each step by the key poses, {steps, keys} each. A
-    cubic with continuous velocity joins two keys. Its slopes at the keys are those of the
-    neighbors, and 0 at both ends."""
+    """Return the derivatives of pose and rate of each step by the key poses, {steps, keys} each.
+    The poses between two keys are a cubic (Catmull-Rom) spline. Its slope at a key is that of the
+    line between the neighboring keys, and 0 at both ends."""
     x = (np.arange(STEPS) + 1.0) / STEPS * (KEYS - 1.0)
     k = np.minimum(x.astype(int), KEYS - 2)
     u = (x - k)[:, None]
@@ -140,8 +140,8 @@ class FrankaPush:
         return f"surrogate contact, {self.sensitivity.label} dynamics, no reaction"
 
     def inverse_kinematics(self, x: float) -> np.ndarray:
-        """Return the pose {7} (rad) with the hand down and the tip at x (m) on the line. The arm
-        then is two bars in a plane."""
+        """Return the joint angles {7} (rad) with the hand pointing down and the tip at x (m) on the
+        line. The arm is then equivalent to two bars in a plane."""
         upper, lower = np.hypot(0.316, 0.0825), np.hypot(0.384, 0.0825)
         x, z = x - 0.088, LINE[1] + TIP[2] - 0.333  # the vector from the shoulder to the wrist
         reach = np.hypot(x, z)
@@ -165,15 +165,15 @@ class FrankaPush:
         return pose + novaphy.eval_bias(self.model, self.at_rest)[self.dofs] / KE
 
     def target_by_pose(self) -> np.ndarray:
-        """Return the derivative {axes, axes} of the last target with respect to its pose. Frozen
-        dynamics leave out the change of gravity with the pose, here and in the motion of the arm,
+        """Return the derivative {axes, axes} of the last target by its pose. Frozen dynamics leave
+        out the change of gravity forces with the pose in two places, here and in the arm's motion,
         where the two changes would cancel."""
         if self.sensitivity.label == "frozen":
             return np.eye(AXES)
         return self.exact_target_by_pose()
 
     def exact_target_by_pose(self) -> np.ndarray:
-        """Return the derivative {axes, axes} of the last target, with the change of gravity."""
+        """Return the derivative {axes, axes} of the last target, with changing gravity forces."""
         still = np.zeros(self.model.joint_dof_count, np.float32)
         stiffness = novaphy.eval_inverse_dynamics_derivatives(self.model, self.at_rest, still)[0][0]
         return np.eye(AXES) + stiffness[np.ix_(self.dofs, self.dofs)] / np.array(KE)[:, None]
@@ -209,7 +209,7 @@ class FrankaPush:
         self.push(gradient)
 
     def push(self, gradient: bool) -> None:
-        """Move the box by the tip's motion. With `gradient` also set the derivative of its end."""
+        """Move the box by the tip's motion. With `gradient` also set its final derivative."""
         x, v = (nova.tensor([number], requires_grad=True) for number in (BOX, 0.0))
         tip = [
             nova.tensor(np.float32(rows[:, 0]), requires_grad=True)
@@ -233,7 +233,7 @@ class FrankaPush:
                 self.end_by_keys[row] += by_tip.grad.numpy().astype(np.float64) @ by_keys[:, 0]
 
     def residuals(self) -> np.ndarray:
-        """Return the residuals {residuals}, whose squares sum to the loss."""
+        """Return the residuals {residuals}, whose sum of squares is the loss."""
         ends = [self.box[-1] - MARK, np.sqrt(SLOW) * self.box_rate[-1]]
         off = (self.tip[::SAMPLE, 1:] - LINE).ravel()
         speeds = np.array([s.joint_qd.numpy()[self.dofs] for s in self.states[1::SAMPLE]])
@@ -275,9 +275,9 @@ class FrankaPush:
         return before
 
     def difference(self, direction: np.ndarray) -> float:
-        """Return the slope of the loss of simulated rollouts along a direction. 1,000 roundings
-        move the box by 1e-6 m. The slope is therefore a fit of central differences with several
-        steps of some milliradians, by a linear and a cubic term."""
+        """Return the slope of the loss along a direction, from simulated rollouts. Rounding in
+        1,000 steps moves the box by about 1e-6 m. Therefore a linear and a cubic term are fitted to
+        central differences over several steps of some milliradians."""
         steps = np.array([1.0, 1.5, 2.0, 2.5, 3.0, 3.5]) * 4e-3
         ends = [
             [self.loss(self.keys + sign * eps * direction) for sign in (0.5, -0.5)] for eps in steps

@@ -1,9 +1,9 @@
 """Throw the tip of a double pendulum through a mark, by the targets of its two drives.
 
-Two rods hang from the world by hinges, which springs and dampers hold together (penalty joints).
-Each hinge has a drive, a weak spring to a target angle. The two angles are optimized. After 0.8 s
-(768 substeps) the tip should be at the mark. The gradient through joints, drives and bodies is
-exact.
+Two rods hang from the world by hinges. The hinges are penalty joints: springs and dampers hold
+their two sides together. Each hinge has a drive, a weak spring to a target angle. The two target
+angles are optimized. After 0.8 s (768 substeps) the tip should be at the mark. The gradient through
+joints, drives and bodies is exact.
 
     python demo_diffsim_pendulum.py
     python demo_diffsim_pendulum.py --headless 60 --plot pendulum.png --record pendulum.html
@@ -32,11 +32,11 @@ from novaphy import JointTargetMode, diff, nova, viewer
 
 FPS, SUBSTEPS, FRAMES = 60, 16, 48
 STEPS, DT = SUBSTEPS * FRAMES, 1.0 / (FPS * SUBSTEPS)
-LENGTH, MASS, RADIUS = 0.5, 1.0, 0.03  # m, kg, m: of a rod
+LENGTH, MASS, RADIUS = 0.5, 1.0, 0.03  # length (m), mass (kg) and radius (m) of a rod
 ATTACH = {"joint_attach_ke": 4e3, "joint_attach_kd": 40.0}  # N/m, N s/m: the attachment of a hinge
 HEIGHT = 1.3  # m, height of the hinge at the world
-STIFFNESS, DAMPING = 6.0, 0.4  # N m/rad, N m s/rad, of the drives
-FIRST_ANGLES = (0.4, 0.2)  # rad
+STIFFNESS, DAMPING = 6.0, 0.4  # N m/rad, N m s/rad: gains of the drives
+FIRST_ANGLES = (0.4, 0.2)  # rad, target angles before the first iteration
 MARK = np.array([-0.55, 0.0, 0.75])  # m
 LEARNING_RATE, MOMENTUM = 0.1, 0.8  # rad
 
@@ -87,9 +87,7 @@ class Pendulum:
         self.train = Recorded(self.iterate)
 
     def tip(self) -> nova.Tensor:
-        """Return the end position {3} (m) of the tip: half a rod below the middle of the second
-        rod.
-        """
+        """Return the final position {3} (m) of the tip, the lower end of the second rod."""
         x, y, z, qx, qy, qz, qw = (
             diff.state_body_q_tensor(self.trajectory[STEPS])[1, k : k + 1] for k in range(7)
         )
@@ -103,7 +101,7 @@ class Pendulum:
         )
 
     def forward(self) -> nova.Tensor:
-        """Run all substeps; the squared distance of the tip from the mark, m^2, {1}."""
+        """Run all substeps. Return the squared distance {1} (m²) of the tip to the mark."""
         self.solver.rollout(self.trajectory, self.control, None, DT)
         away = self.tip() - self.mark
         return nova.sum(away * away)
@@ -129,7 +127,7 @@ class Pendulum:
         return q[:, :3] - 0.5 * LENGTH * down
 
     def gap(self) -> float:
-        """Return the largest opening (m) of the hinge between the rods, which springs hold."""
+        """Return the largest gap (m) of the penalty joint between the two rods."""
         q = self.trajectory.body_q.numpy().reshape(STEPS + 1, 2, 7)
         x, y, z, w = np.moveaxis(q[:, :, 3:], 2, 0)
         up = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], 2)

@@ -1,10 +1,10 @@
 """Push a box over the ground so that it comes to rest on a mark.
 
-A box of 12 kg lies on the ground, which holds the box with up to 59 N of friction. The horizontal
-force on the box over 1.2 s is optimized: 13 values for each direction, linear in between. At the
-end the box should be on the mark and at rest. The force must overcome the friction, and friction
-brakes the box. A collision pipeline finds the contacts in each of the 576 substeps. Their gradient
-is exact, because the ground is a plane of the world.
+A box of 12 kg lies on the ground, with up to 59 N of friction. The horizontal force on the box over
+1.2 s is optimized: 13 values for each direction, interpolated linearly. At the end the box should
+be at rest on the mark. The force must overcome the friction, and the friction stops the box. A
+collision pipeline finds the contacts in each of the 576 substeps. The gradient of the contacts is
+exact, because the ground is a plane of the world.
 
     python demo_diffsim_push.py
     python demo_diffsim_push.py --headless 60 --plot push.png --record push.html
@@ -33,16 +33,16 @@ from novaphy import diff, nova, viewer
 
 FPS, SUBSTEPS, FRAMES = 60, 8, 72
 STEPS, DT = SUBSTEPS * FRAMES, 1.0 / (FPS * SUBSTEPS)
-HALF, MASS, FRICTION = 0.1, 12.0, 0.5  # m, kg
+HALF, MASS, FRICTION = 0.1, 12.0, 0.5  # half an edge (m), kg, friction coefficient
 KNOTS = 13
 MARK = np.array([0.8, 0.4])  # m
-FIRST_FORCE = (70.0, 10.0)  # N
-LEARNING_RATE, MOMENTUM = 2.0, 0.8  # N
-STILL = 0.05  # s^2: weight of the squared velocity; the squared distance has 1
+FIRST_FORCE = (70.0, 10.0)  # N, the force before the first iteration
+LEARNING_RATE, MOMENTUM = 2.0, 0.8  # N, 1
+STILL = 0.05  # s²: weight of the squared velocity in the loss; the squared distance has weight 1
 
 
 def build_model(device: str) -> novaphy.Model:
-    """Build the box on the ground, at the overlap at which it rests."""
+    """Build the box on the ground, with the overlap at which contact force and weight balance."""
     builder = novaphy.ModelBuilder()
     surface = novaphy.ShapeConfig(ke=1e4, kd=300.0, kf=500.0, mu=FRICTION)
     builder.add_ground_plane(cfg=surface)
@@ -53,7 +53,7 @@ def build_model(device: str) -> novaphy.Model:
 
 
 def interpolation() -> np.ndarray:
-    """Return the weights {steps, knots} by which knots give the force of substeps."""
+    """Return weights {steps, knots} that interpolate the forces of knots linearly to substeps."""
     at = np.linspace(0.0, KNOTS - 1.0, STEPS)[:, None]
     return np.maximum(0.0, 1.0 - np.abs(at - np.arange(KNOTS))).astype(np.float32)
 
@@ -78,7 +78,7 @@ class Push:
         self.train = Recorded(self.iterate)
 
     def forward(self) -> nova.Tensor:
-        """Run all substeps; the squared distance from the mark, and what still moves, {1}."""
+        """Run all substeps. Return the loss {1}: squared distance and weighted squared velocity."""
         wrenches = self.basis @ (self.forces @ self.horizontal)
         self.solver.rollout(
             self.trajectory,
@@ -112,7 +112,7 @@ class Push:
 
 
 def plot(path: str, losses: list[float], ways: list[np.ndarray], forces: np.ndarray) -> None:
-    """Draw the loss, the way of the box, and the speed and force over time."""
+    """Draw the loss, the path of the box, and the speed and force over time."""
     figure, right = loss_figure(losses, "loss [m²]", widths=(4.0, 8.0))
     spec = right.get_subplotspec()
     right.remove()

@@ -1,10 +1,9 @@
 """Find the material of a soft block that bounces off the ground and a wall into a target.
 
 A block of 40 tetrahedra is thrown at the ground, and bounces against a wall and back, for 960
-substeps. The two Lamé parameters are optimized, of every tetrahedron (80 values) or of all together
-(2 values). After a second the centroid should be at the target. Contacts are evaluated in every
-substep at the true distance. An iteration (rollout, gradient, update) is recorded once and
-replayed.
+substeps. The Lamé parameters are optimized: two for every tetrahedron (80 values), or two for all
+tetrahedra. After a second the centroid should be at the target. Contacts are computed in every
+substep by exact distances. An iteration (rollout, gradient, update) is recorded once and replayed.
 
     python demo_diffsim_soft_body.py
     python demo_diffsim_soft_body.py --headless 60 --plot soft_body.png --record soft_body.html
@@ -92,7 +91,7 @@ class SoftBody:
         self.train = Recorded(self.iterate)
 
     def forward(self) -> nova.Tensor:
-        """Run all substeps; the squared distance of the last centroid to the target, {1}."""
+        """Run all substeps. Return the squared distance {1} (m²) of the centroid to the target."""
         self.materials.copy_(
             diff.assign_tet_materials_generated(self.params, self.base, self.model.tet_count)
         )
@@ -116,7 +115,7 @@ class SoftBody:
     def check_gradient(self, tolerance: float = 2.0e-2) -> bool:
         """Compare some derivatives with central differences.
 
-        The step is relative to the parameter, and so small that it opens and closes no contact.
+        The step is relative to the parameter, and so small that no contact begins or ends.
         """
         isotropic = self.params.size == 2
         step, chosen = (0.001, (0, 1)) if isotropic else (0.02, (0, 1, 40, 41))
@@ -159,7 +158,7 @@ def main() -> int:
         stage.mark(TARGET, 0.06)
         losses = train(body, args, SUBSTEPS, plot, stage)
     checks["a loss below 0.8 m²"] = max(losses) < 0.8
-    # The loss may jump when a contact opens or closes.
+    # The loss may jump when a contact begins or ends.
     checks["a loss that falls in 80 % of the iterations"] = mostly_falls(losses)
     k = body.params.numpy().reshape(-1, 2)
     print(

@@ -62,7 +62,7 @@ class SpringCage:
         self.lengths = diff.model_spring_rest_length_tensor(self.model, requires_grad=True)
 
     def forward(self) -> nova.Tensor:
-        """Run all steps; the squared distance of the particle to the target, {1}."""
+        """Run all steps. Return the squared distance {1} (m²) of the particle to the target."""
         self.solver.rollout(self.trajectory, None, None, DT)
         last = diff.state_particle_q_tensor(self.trajectory[STEPS])
         return diff.particle_point_loss_generated(last, 0, *TARGET)
@@ -78,7 +78,7 @@ class SpringCage:
 
 
 def plot(path: str, losses: list[float], rollouts: list[np.ndarray]) -> None:
-    """Draw the loss, and the way of the particle in the cage before and after."""
+    """Draw the loss, and the path of the particle in the cage before and after the training."""
     figure, right = loss_figure(losses, "squared distance to the target [m²]")
     for corner in CAGE:
         end = rollouts[-1][-1, 0]

@@ -1,10 +1,11 @@
 """Find the stiffness of a cloth from noisy positions, by implicit gradients through VBD.
 
-A cloth of 0.6 m hangs from its upper side and swings. Its positions over 0.75 s are measured with a
-noise of 2 mm. The measured simulation has another step, more iterations and other colors than the
-fitted one. The logarithm of the factor of the membrane's stiffness is optimized: the secant method
-finds a root of the loss's derivative. The demo checks the stiffness, and the motion of the next
-0.5 s, in which the upper side swings. The fit does not use this motion.
+A cloth of 0.6 m hangs from its upper side and swings. The measured data are the positions over 0.75
+s of a simulation with a noise of 2 mm. The measured simulation has another step, more iterations
+and other colors than the fitted simulation. The logarithm of a factor of the membrane stiffness is
+optimized: the secant method finds a root of the loss's derivative. The demo checks the stiffness,
+and the motion of the next 0.5 s, in which the upper side is moved. The fit does not use this
+motion.
 
     python demo_diffsim_vbd_cloth.py
     python demo_diffsim_vbd_cloth.py --headless 6 --check-grad --plot vbd_cloth.png
@@ -27,7 +28,7 @@ from demo_common import (
 import novaphy
 from novaphy import diff, nova, viewer
 
-FPS, FITTED, HELD_OUT = 60, 45, 30  # frames
+FPS, FITTED, HELD_OUT = 60, 45, 30  # frames per second, frames of the fit, frames of the test
 DT = 1.0 / FPS / 2
 SUBSTEPS, ITERATIONS = 2, 12
 TRUE_SUBSTEPS, TRUE_ITERATIONS = 6, 40
@@ -37,7 +38,7 @@ SWING = 0.1  # m, amplitude of the kinematic side in the part that is not fitted
 
 
 def build_model(stiffness: float, reverse_colors: bool = False) -> novaphy.Model:
-    """Build a cloth with a kinematic left side; the colors optionally in reverse order."""
+    """Build a cloth with a kinematic left side, optionally with colors in reverse order."""
     builder = novaphy.ModelBuilder()
     builder.add_cloth_grid(
         pos=(0.0, -0.5 * SIZE, 1.0), rot=(0.0, 0.5**0.5, 0.0, 0.5**0.5), dim_x=CELLS, dim_y=CELLS,
@@ -112,7 +113,7 @@ class Cloth:
         return TRUE_STIFFNESS * START * float(np.exp(self.params.numpy()[0]))
 
     def forward(self) -> nova.Tensor:
-        """Run all steps; the mean square of the distance to what was measured, {1}."""
+        """Run all steps. Return the mean squared distance {1} (m²) to the measured positions."""
         factor = nova.broadcast_to(nova.exp(self.params), self.stiff.shape)
         self.materials.copy_(self.rest + self.stiff * factor)
         self.solver.rollout(self.trajectory, None, None, DT)
@@ -142,7 +143,7 @@ class Cloth:
         return loss.item()
 
     def predict(self) -> float:
-        """Return the root mean square distance (m) from the true motion that was not fitted."""
+        """Return the root mean square distance (m) to the true motion after the fitted frames."""
         found = novaphy.solvers.DiffSolverVBD(
             build_model(self.stiffness), iterations=ITERATIONS, gradient="implicit"
         )

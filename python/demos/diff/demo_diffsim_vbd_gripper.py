@@ -1,10 +1,10 @@
 """Teach a soft gripper to hold a load that slipped before, by gradients through VBD.
 
-A soft gripper with a load of 0.5 kg at its lower end sits in a slot between two walls, as grippers
-do that hold things from inside. Only friction holds the gripper. With its initial expansion the
-gripper slips, and the load drops by tens of centimeters. The activations, by which each of four
-layers expands, are optimized, so that the load has not moved after half a second. The gradient goes
-through 60 implicit steps with contact and friction.
+A soft gripper holds objects from inside by expanding. Here it sits in a slot between two walls,
+with a load of 0.5 kg at its lower end, and only friction holds it. With its initial expansion the
+gripper slips, and the load drops by tens of centimeters. The expansions (activations) of four
+layers are optimized, so that the load has not moved after half a second. The gradient goes through
+60 implicit steps with contact and friction.
 
     python demo_diffsim_vbd_gripper.py
     python demo_diffsim_vbd_gripper.py --headless 15 --check-grad --plot vbd_gripper.png
@@ -29,14 +29,14 @@ from novaphy import diff, nova, viewer
 
 FPS, FRAMES, SUBSTEPS, ITERATIONS = 60, 30, 2, 10
 STEPS, DT = FRAMES * SUBSTEPS, 1.0 / (FPS * SUBSTEPS)
-CELLS, LAYERS, CELL, RADIUS = 3, 4, 0.04, 0.002  # per side of a layer; layers; m; m
-LOAD, FRICTION = 0.5, 0.8  # kg
-FIRST, LARGEST = 0.05, 0.4  # expansions of a layer, relative to its volume at rest
+CELLS, LAYERS, CELL, RADIUS = 3, 4, 0.04, 0.002  # cells per side; layers; cell, particle (m)
+LOAD, FRICTION = 0.5, 0.8  # kg, friction coefficient
+FIRST, LARGEST = 0.05, 0.4  # initial and largest expansion, relative to the rest volume
 RATE = 0.05  # change of the expansion in an iteration
 
 
 def build_model() -> novaphy.Model:
-    """Build the gripper with its load between the walls, which the gripper just touches."""
+    """Build the gripper with its load between two walls that it just touches."""
     builder = novaphy.ModelBuilder()
     builder.add_soft_grid(
         pos=(-0.5 * CELLS * CELL, -0.5 * CELLS * CELL, 1.0), dim_x=CELLS, dim_y=CELLS, dim_z=LAYERS,
@@ -92,7 +92,7 @@ class Gripper:
         return float(np.linalg.norm(q[1] - q[0])) / DT
 
     def forward(self) -> nova.Tensor:
-        """Run all steps; the mean square of how far the load fell, {1}."""
+        """Run all steps. Return the mean squared fall {1} (m²) of the load."""
         self.activation.copy_(nova.matmul(self.of_layers, self.params))
         self.solver.rollout(self.trajectory, self.control, None, DT, pipeline=self.pipeline)
         fell = diff.state_particle_q_tensor(self.trajectory[STEPS]) * self.weight - self.start

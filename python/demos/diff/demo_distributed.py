@@ -1,9 +1,10 @@
 """Learn to throw in wind, over many worlds, on any number of processes with the same bits.
 
-In each world a ball is to land on a mark. The distance of the mark, its direction and the wind are
-random. A rule of 36 numbers makes a velocity of them. The gradient of the mean squared miss flows
-through the rollouts of all worlds. The last line is the hash of the rule and of the optimizer: one
-process, torchrun, Ray and mpiexec print the same one.
+In each world a ball should land on a mark. The distance and direction of the mark and the wind are
+random. A rule with 36 parameters computes the initial velocity from these values. The parameters
+are optimized by the gradient of the mean squared miss over all worlds. The last line of the output
+is the hash of the rule and the optimizer. The hash is the same for one process, torchrun, Ray and
+mpiexec.
 
     python demo_distributed.py
     torchrun --standalone --nproc-per-node=2 demo_distributed.py
@@ -24,8 +25,8 @@ import novaphy
 from novaphy import diff, nova
 from novaphy import distributed as dist
 
-STEPS, DT = 60, 1.0 / 60.0  # the ball flies for a second
-FAR, WIND = 3.0, 4.0  # m, m/s^2
+STEPS, DT = 60, 1.0 / 60.0  # steps and step size (s): the ball flies for a second
+FAR, WIND = 3.0, 4.0  # largest distance of a mark (m), largest acceleration by wind (m/s²)
 LEARNING_RATE = 0.1
 FEATURES = 12
 
@@ -50,7 +51,7 @@ def worlds_of(block: dist.Block, seed: int) -> tuple[np.ndarray, np.ndarray, np.
 
 
 class Throw:
-    """The parts of the worlds of a block that stay the same in all iterations."""
+    """The solver, the trajectory and the drawn values of a block, which all iterations use."""
 
     def __init__(self, block: dist.Block) -> None:
         """Draw the worlds."""
@@ -59,7 +60,7 @@ class Throw:
 
 
 def rollout(block: dist.Block, params: dict[str, nova.Tensor], seed: int) -> nova.Tensor:
-    """Return the squared distances {worlds} (m^2) by which the balls of a block miss."""
+    """Return the squared distances {worlds} (m²) of the landings of a block from their marks."""
     if not block.kept:
         block.kept["throw"] = Throw(block)
     throw: Throw = block.kept["throw"]

@@ -1,12 +1,13 @@
 """The Franka that pushes a box, with rigid contacts in one simulation.
 
-demo_diffsim_franka_push_box.py has a surrogate contact instead. Here arm and box are two
-articulations of one model, and the box pushes back. The sphere at the tip touches the box, and the
-box lies on a plane. Contacts are solved by projected Gauss-Seidel with Coulomb friction.
+In this file, arm and box are two articulations of one model, and the box pushes back on the arm.
+The sphere at the tip touches the box, and the box lies on a plane. Contacts are solved by projected
+Gauss-Seidel with Coulomb friction. In demo_diffsim_franka_push_box.py the contact is a surrogate
+without reaction.
 
-The derivative of the end of the box is the adjoint of every step (DiffFeatherstoneSolver). The
-derivatives of the path of the tip and of the speeds of the joints are the sensitivity of the arm
-alone, as in the other file.
+The derivative of the box's final position comes from the adjoints of all steps
+(DiffFeatherstoneSolver). The derivatives of the tip's path and of the joint speeds come from the
+sensitivity of the arm without the box, as in demo_diffsim_franka_push_box.py.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from novaphy.solvers import DiffFeatherstoneSolver
 
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 BOX_COORDS, BOX_DOFS = 7, 6  # the box has the last coordinates and dofs of the model
-AGREE = 0.8  # least cosine with differences, which have noise of contacts
+AGREE = 0.8  # least cosine between gradient and differences, which are noisy due to contacts
 
 
 class FullPush(FrankaPush):
@@ -88,7 +89,7 @@ class FullPush(FrankaPush):
         )
 
     def push(self, gradient: bool) -> None:
-        """Simulate arm and box. With `gradient` also set the derivative of the end of the box."""
+        """Simulate arm and box. With `gradient` also set the box's final derivatives."""
         poses, rates = self.weights @ self.played, self.rate_weights @ self.played
         target, rate = self.full.joint_target_q.numpy(), self.full.joint_target_qd.numpy()
         by_pose = []
@@ -114,7 +115,7 @@ class FullPush(FrankaPush):
         self.end_by_keys = np.zeros((2, KEYS * AXES))
         for row, (values, k) in enumerate(zip(ends, (BOX_COORDS, BOX_DOFS), strict=True)):
             seed = np.zeros(values.size, np.float32)
-            seed[-k] = 1.0  # x, or its rate
+            seed[-k] = 1.0  # the adjoint of x, or of its rate
             tape.zero()
             tape.backward(values, nova.tensor(seed))
             by_keys = np.zeros((KEYS, AXES))
@@ -128,12 +129,12 @@ class FullPush(FrankaPush):
             self.end_by_keys[row] = by_keys.ravel()
 
     def forward(self, keys: np.ndarray, gradient: bool = False) -> None:
-        """Run the arm alone, for the derivative of the tip's path, then arm and box."""
+        """Simulate the arm without the box, for the derivative of the tip's path, then with it."""
         self.played = keys
         super().forward(keys, gradient)
 
     def take_states(self) -> None:
-        """Copy the states of the full simulation to the model that is shown and checked."""
+        """Copy the states of arm and box to the model that the viewers show and the checks use."""
         coords, dofs = self.model.joint_coord_count, self.model.joint_dof_count
         self.box, self.box_rate = np.zeros((2, STEPS))
         for t in range(STEPS + 1):
@@ -152,8 +153,8 @@ class FullPush(FrankaPush):
     def check_gradient(self) -> bool:
         """Compare gradients with differences along five random directions.
 
-        Print the cosine of this gradient, and of the gradient without reaction, with the
-        differences.
+        Print the cosines between the differences and two gradients: this one, and the gradient
+        without the reaction of the box.
         """
         rng = np.random.default_rng(7)
         directions = rng.normal(size=(5, KEYS, AXES))

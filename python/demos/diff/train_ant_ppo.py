@@ -1,10 +1,10 @@
 """Train the Ant's actor (111-256-256-8) by proximal policy optimization on a batch of worlds.
 
-Schulman et al., "Proximal policy optimization algorithms" (2017), with layers of nova: Gaussian
-actions with a tanh, generalized advantages, clipped ratios, Adam. The networks read the 27
-observations that are not always 0. The normalization of the observations is folded into the first
-layer of the written file. Columns 27 to 110 of this layer are 0. The first part of the training may
-have coarser substeps (--coarse), and the rest has substeps of 1 ms. The same seed gives the same
+The method is that of Schulman et al., "Proximal policy optimization algorithms" (2017), with layers
+of nova: Gaussian actions with a tanh, generalized advantages, clipped ratios, Adam. The networks
+read the 27 observations that are not always 0. The written file has the normalization of the
+observations in its first layer, whose columns 27 to 110 are 0. The first part of the training may
+use longer substeps (--coarse), and the rest uses substeps of 1 ms. The same seed gives the same
 file.
 
     python train_ant_ppo.py --steps 8e6 --out walker.npz
@@ -26,7 +26,7 @@ import novaphy
 from novaphy import nova
 from novaphy.envs import ACTIONS, AntWorlds, asset_hash, rotate
 
-SEEN = 27  # observations that the networks read
+SEEN = 27  # number of observations that the networks read
 GAMMA, LAMBDA, CLIP = 0.99, 0.95, 0.2
 EPISODE = 1000  # frames
 START_LOG_STD = -0.7
@@ -52,7 +52,7 @@ class Agent:
     """Actor, critic, and the normalization of observations."""
 
     def __init__(self, parameters: dict[str, np.ndarray], device: str, lr: float) -> None:
-        """Put the parameters on the device."""
+        """Make an agent with the parameters on a device, and the learning rate `lr`."""
         self.device = device
         self.p = {
             k: nova.tensor(v, device=device, requires_grad=True) for k, v in parameters.items()
@@ -61,7 +61,7 @@ class Agent:
         self.count, self.mean, self.m2 = 1e-4, np.zeros(SEEN), np.zeros(SEEN)
 
     def observe(self, x: np.ndarray) -> None:
-        """Add observations to mean and variance (Chan et al. 1983)."""
+        """Update the running mean and variance by observations {n, 27} (Chan et al. 1983)."""
         n, mean = len(x), x.mean(axis=0)
         delta, total = mean - self.mean, self.count + n
         self.m2 += ((x - mean) ** 2).sum(axis=0) + delta**2 * self.count * n / total
@@ -83,12 +83,12 @@ class Agent:
         return nova.linear(h, self.p[f"{name}.4.weight"], self.p[f"{name}.4.bias"])
 
     def look(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the means {n, 8} and values {n} of normalized observations."""
+        """Return action means {n, 8} and values {n} for normalized observations {n, 27}."""
         t = nova.tensor(x, device=self.device)
         return self.net("pi", t).numpy(), self.net("v", t).numpy()[:, 0]
 
     def loss(self, batch: list[nova.Tensor], entropy: float) -> tuple[nova.Tensor, nova.Tensor]:
-        """Return the loss of a minibatch, and an estimate of the divergence from the old policy."""
+        """Return the loss of a minibatch, and the estimated KL divergence from the old policy."""
         x, u, old, advantage, returns = batch
         log_p = nova.gaussian_log_density(u, self.net("pi", x), self.p["log_std"], squashed=False)
         change = log_p - old
@@ -99,7 +99,7 @@ class Agent:
         return loss - entropy * nova.sum(self.p["log_std"]), nova.mean(ratio - 1.0 - change)
 
     def update(self, data: list[np.ndarray], rng, epochs: int, minibatch: int) -> float:
-        """Train for some epochs on the data. Return the divergence at the end."""
+        """Train for `epochs` epochs on the data. Return the KL divergence at the end."""
         n, divergence = len(data[0]), 0.0
         for _ in range(epochs):
             order = rng.permutation(n)
@@ -115,7 +115,7 @@ class Agent:
             divergence = gap.item()
             if divergence > 0.03:
                 break
-        # The step of Adam follows the divergence (as in "Learning to walk in minutes", 2021).
+        # The learning rate adapts to the KL divergence (as in "Learning to walk in minutes", 2021).
         if divergence > 0.02:
             self.adam.lr = max(self.adam.lr / 1.5, 1e-5)
         elif divergence < 0.005:
@@ -140,7 +140,7 @@ class Agent:
 
 
 def reward(ants: AntWorlds, before: np.ndarray, a: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Return the reward {n} of a frame that began at coordinates `before` {n, 15}."""
+    """Return the rewards {n} of a frame that began at coordinates `before` {n, 15}."""
     q = ants.q
     v = (q[:, :2] - before[:, :2]) * 20.0
     up = rotate(q[:, 3:7], np.broadcast_to(np.float32([0, 0, 1]), (len(q), 3)))[:, 2]
@@ -155,7 +155,7 @@ def reward(ants: AntWorlds, before: np.ndarray, a: np.ndarray, last: np.ndarray)
 
 
 def collect(agent: Agent, ants: AntWorlds, last: np.ndarray, rng, frames: int):
-    """Simulate frames of all worlds. Return the training data, the last actions, and figures."""
+    """Simulate frames of all worlds. Return training data, last actions, and statistics."""
     n = ants.num_worlds
     xs, us, logs, rewards, values, masks, raw = [], [], [], [], [], [], []
     std = np.exp(agent.p["log_std"].numpy())
@@ -177,7 +177,7 @@ def collect(agent: Agent, ants: AntWorlds, last: np.ndarray, rng, frames: int):
         late = ants.frame >= EPISODE
         speed += np.where(bad, 0.0, (ants.q[:, 0] - before[:, 0]) * 20.0).mean()
         fallen += bad.mean()
-        if (late & ~bad).any():  # the value stands for the rest of a truncated episode
+        if (late & ~bad).any():  # the value estimates the return after a truncated episode's end
             cut = agent.look(agent.normal(ants.observations()[:, :SEEN]))[1]
             r = r + np.where(late & ~bad, GAMMA * cut, 0.0).astype(np.float32)
         seen = (
@@ -234,7 +234,7 @@ def load_checkpoint(path: str, device: str) -> tuple[Agent, int, list[list[float
 
 
 def main() -> int:
-    """Train and write the file. With --evaluate, judge the actor over seeds of no training."""
+    """Train and write the file. With --evaluate, test the actor on seeds not used in training."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=float, default=8e6, help="frames of all worlds in total")
     parser.add_argument("--worlds", type=int, default=1024)
@@ -268,7 +268,7 @@ def main() -> int:
             )
             first = np.random.Generator(np.random.Philox(key=[args.seed, 2]))
             ants.frame[:] = first.integers(0, EPISODE, args.worlds)
-        if steps == 0:  # observations are normalized from the first update on
+        if steps == 0:  # before the first update, so that observations are normalized from there on
             collect(agent, ants, last, np.random.default_rng(args.seed), args.frames)
         rng = np.random.Generator(np.random.Philox(key=[args.seed, 3 + steps]))
         start = time.perf_counter()

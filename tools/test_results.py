@@ -40,7 +40,7 @@ def reference_work() -> float:
 
 
 def slower_than_reference() -> float:
-    """Return how many times slower this machine is than that of tests/slow.txt, at least 1."""
+    """Return how many times slower this machine is than the one of tests/slow.txt, at least 1."""
     return max(1.0, reference_work() / REFERENCE_SECONDS)
 
 

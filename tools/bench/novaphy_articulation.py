@@ -8,7 +8,7 @@ are not installed are left out.
     NOVAPHY_NUM_THREADS=1 python tools/bench/novaphy_articulation.py
     NOVAPHY_NUM_THREADS=1 python tools/bench/novaphy_articulation.py --page
 
-With --humanoid, only Pinocchio's sample humanoid (34 dofs): steps and functions of the dynamics.
+With --humanoid, only Pinocchio's sample humanoid (34 dofs) runs: steps and dynamics functions.
 
     NOVAPHY_NUM_THREADS=1 python tools/bench/novaphy_articulation.py --humanoid
 

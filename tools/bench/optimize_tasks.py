@@ -38,7 +38,7 @@ GRACE = 60.0  # s beyond the limit of a run: for start-up and its last iteration
 
 
 class Job(NamedTuple):
-    """One run."""
+    """One run: a method on a task from one start."""
 
     kind: type[Task]
     start: int
@@ -180,7 +180,7 @@ def jobs_of(options: argparse.Namespace) -> list[Job]:
 
 
 def main() -> None:
-    """Run one, run all, or print the table."""
+    """Run one job, run all jobs, or print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", default="", help="parts of the class names of tasks, by commas")
     parser.add_argument("--methods", default="", help="names of methods, by commas")

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Time training iterations of NovaPhy on a soft body and on cloth.
 
-Scenes and records: see deformable.py beside this file. Contacts of the soft body are evaluated in
-every substep at the true distance. Modes:
+deformable.py in this folder describes the scenes and records. Contacts of the soft body are
+evaluated in every substep at the true distance. Modes:
 
 * `step`: a Python loop of `clear_forces` and `DiffSemiImplicitSolver.step`, recorded on a new tape
   in every iteration.

@@ -155,8 +155,8 @@ NOVAPHY_ROW_KERNEL(vbd_gravity_gradient, VbdGravityGradientArguments) {
 // Derivatives with respect to the parameters of one kind of element. A null output is not computed.
 struct VbdElementGradientArguments {
   NOVAPHY_ARGUMENTS(
-      // For each slot type of the element: the position in the table of slots of each corner of
-      // each element (-1: none), and where the adjoints of its role begin.
+      // For each slot type. places: for each corner of each element, its index in the table of
+      // slots, or -1. first: the index in `numbers` at which the adjoints of the type begin.
       Each<Optional<Reads<int64_t>>, vbd::kMostSlots> places;
       Each<Number<int64_t>, vbd::kMostSlots> first; Reads<float> numbers;  // of all roles
       Number<int64_t> role, lanes; Number<float> h;

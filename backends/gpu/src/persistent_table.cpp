@@ -467,8 +467,9 @@ class Writer {
     return {o.op.arguments[word], rows * row};
   }
 
-  // Records the loads of memory that no operation of the persistent kernel writes. Chains that load
-  // the same memory for the same threads count as one user of kept words.
+  // Records the loads of a chain from memory that the persistent kernel only reads. A thread may keep
+  // these words in registers from step to step. Chains that load the same words in the same threads
+  // share the registers, and count once.
   void note_kept(const ChainForm& form, uint32_t number, int64_t rows, Warps warps,
                  const uint64_t* words, uint64_t at) {
     User user{0, warps, {at}};

@@ -347,7 +347,7 @@ void Emitter::load(Value v, const Instr& in) {
   int32_t wanted = 0;
   for (const Value c : group.columns) wanted += c != kNone ? 1 : 0;
   const std::string s = "s" + str(group.source);
-  // On a device, the type of a source has the number of its rows.
+  // On a device, the emitted type of a source knows its number of rows. On the CPU, n is an argument.
   const std::string table = is_item(group.source) ? "source_item{kept." + s + " + r" + str(loop_) +
                                                         " * " + str(width) + "}"
                             : device_ ? s

@@ -99,7 +99,7 @@ std::string Emitter::prefetch_gather(const PrefetchedGather& g, int32_t column) 
          ");";
 }
 
-// Row k is the first row of the next group of lanes.
+// Emits the start of the prefetch. In the emitted code, k is the first row of the next lanes.
 void Emitter::prefetch_begin() {
   if (prefetch_.table < 0) return;
   const LoadGroup& table = plan_.groups[at(prefetch_.table)];

@@ -29,7 +29,7 @@ class Margin(NamedTuple):
 
 
 class Trust(NamedTuple):
-    """Margins of events in ascending order, and how far the parameters may move downhill."""
+    """How far each event is from its appearance or end (ascending), and the step that is safe."""
 
     margins: list[Margin]
     radius: float | None  # sigmas downhill; inf: no event limits the move, None: unknown

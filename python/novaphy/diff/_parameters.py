@@ -146,7 +146,7 @@ class Parameters:
 
 
 class Slopes(NamedTuple):
-    """Losses {worlds}, their gradients {worlds, n} per sigma, and the label of the gradients."""
+    """Losses {worlds}, gradients {worlds, n} by parameters in units of sigma, and their label."""
 
     losses: Numbers
     gradients: Numbers

@@ -78,7 +78,7 @@ def tail_of(gradients: Numbers) -> float:
 
 
 def clip_to_median(gradients: Numbers) -> tuple[Numbers, float]:
-    """Shorten longer rows to the median length. Return all rows, and the share of short ones."""
+    """Scale longer rows to the median length. Return all rows, and the part that was scaled."""
     lengths = np.linalg.norm(gradients, axis=1)
     median = np.median(lengths)
     longer = lengths > median

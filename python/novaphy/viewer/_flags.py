@@ -44,7 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser, default: int, unit: str) -> N
 def check_arguments(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
     """Check the flags, including --plot. On an error, exit the program with a message.
 
-    Sets args.headless to a number, and args.live to whether a user watches the run.
+    Sets args.headless to the number of frames to run without a window, and args.live to whether a
+    user watches the run.
     """
     args.live = args.headless is None and args.viewer in (None, "gl", "viser")
     if args.headless is None:

@@ -46,7 +46,7 @@ class NOVAPHY_DYNAMICS_API WorldRows {
  private:
   void check_shapes(const Model& model);
   ArrayStamp particle_world_, shape_world_, shape_flags_;
-  // versions of the arrays from which the shapes were checked
+  // versions of the arrays of which shapes_ is the result
   ArrayStamp covered_type_, covered_flags_, covered_body_;
   detail::Shapes shapes_ = detail::Shapes::Simple;
   nova::Operand shape_;

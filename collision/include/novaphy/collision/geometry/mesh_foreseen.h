@@ -112,8 +112,8 @@ inline bool rises_beyond(const MeshView& mesh, int32_t triangle, const ShapePair
 
 struct Foreseen {
   bool no_contact = false;  // collide_triangle would add no contact
-  // m. If above 0: GJK would find at least this distance, within the gap, with the normal of the
-  // face.
+  // A lower bound of the distance (m) that GJK would find. Above 0: the distance is within the gap,
+  // and GJK's normal is that of the triangle. 0: unknown.
   float facing = 0.0f;
 };
 // Returns what the test detects. `half` is the result of core_box.

@@ -23,8 +23,9 @@ struct AdjointContact : IslandContact {
   ContactTurning turning{};
 };
 
-// Sets the motions of links after step_vjp_solve: `w` is the motion of lambda = dt p, `a_adjoint`
-// the motion of `rates` (after the impulses), and `v` the motion of qd.
+// Computes the spatial velocity of each link for three vectors of joint rates, after step_vjp_solve:
+// `w` for its solution lambda, `a_adjoint` for `rates`, the rates after the impulses, and `v` for
+// qd.
 inline void set_contact_motions(const Tree<float>& tree, const float* rates, Workspace<float>& ws,
                                 const AdjointMemory<float>& memory) {
   for (int32_t i = 0; i < tree.link_count; ++i) {

@@ -40,8 +40,8 @@ struct ParticleLimit {
   const char* of = "";    // the limiting force
 };
 
-// Returns the `needed` limit for elements, and for one contact with the shape whose ke, kd or kf
-// needs the smallest step. Reads on the host.
+// Returns a necessary limit of dt. Above the limit an element is unstable, or one contact with the
+// shape whose ke, kd or kf needs the smallest step. Copies arrays of a device to the host.
 ParticleLimit needed_particle_dt(const Model& model, const ParticleForces& forces);
 // Returns the largest dt (s) that is `enough` for elements and for touching contacts of the state.
 // If contacts are null and forces.contacts is set, each particle counts one contact with each shape

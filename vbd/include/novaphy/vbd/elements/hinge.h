@@ -32,7 +32,8 @@
 
 namespace novaphy::vbd {
 
-// The numbers of a slot: the coefficients ke L, kd/h L and rest, and the start value thn.
+// The numbers of a slot (one corner of a hinge): ke L and (kd / h) L, with the length L of the edge
+// and the step h; the rest angle (rad); and the angle at the start of the step.
 struct Hinge : ElementOf<4> {
   static constexpr int kLawFloats = 3, kStartFloats = 1, kDampingParameter = 1;
   static constexpr int kSlots = 2;  // HingeOpposite and HingeEnd

@@ -125,10 +125,15 @@ double sampled_distance(const Vec3d (&x)[4], bool has_edges) {
 TEST(NearestWeights, AreNearerThanAllSamples) {
   std::mt19937 random(3);
   std::uniform_real_distribution<double> place(-1.0, 1.0);
-  for (int k = 0; k < 400; ++k) {
+  for (int k = 0; k < 800; ++k) {
     Vec3d x[4];
     for (Vec3d& v : x) v = {place(random), place(random), place(random)};
     const bool has_edges = k % 2 == 0;
+    // Triangles without area: two equal corners, or three on a line.
+    if (k % 16 == 1) x[2] = x[1];
+    if (k % 16 == 3) x[3] = x[2];
+    if (k % 16 == 5) x[3] = x[1];
+    if (k % 16 == 7) x[3] = x[1] + (x[2] - x[1]) * place(random);
     const auto n = has_edges ? geometry::nearest_of_edges(x) : geometry::nearest_to_triangle(x);
     const double sampled = sampled_distance(x, has_edges);
     EXPECT_LE(n.distance, sampled + 1e-12);

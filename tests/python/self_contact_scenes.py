@@ -69,8 +69,8 @@ def sheet_on_edge(cells: int = 24) -> novaphy.Model:
 
 def grid(builder, *, pos, cells, cell=0.02, vel=(0.0, 0.0, 0.0), **options) -> None:
     builder.add_cloth_grid(
-        pos=pos, vel=vel, dim_x=cells, dim_y=cells, cell_x=cell, cell_y=cell, mass=2e-4,
-        particle_radius=0.003, **(CLOTH | options),
+        pos=pos, vel=vel, dim_x=cells, dim_y=cells, cell_x=cell, cell_y=cell,
+        **({"mass": 2e-4, "particle_radius": 0.003} | CLOTH | options),
     )  # fmt: skip
 
 

@@ -95,6 +95,36 @@ def test_two_sheets_that_collide_keep_their_momentum():
     assert np.abs(after - before).max() < 1e-5 * np.abs(before).max()
 
 
+HALF = np.sqrt(0.5)
+
+
+@pytest.mark.parametrize(
+    ("cells", "radius", "vel", "dt", "second"),
+    [
+        ((5, 0.02), 0.006, (0, 0, -1), 1 / 120, {"pos": (0, 0, 0.003), "cells": 5}),
+        (
+            (5, 0.02), 0.01, (0, 0, -1), 1 / 300,
+            {"pos": (0.16, 0, 0.005), "rot": (0, 0, HALF, HALF), "cells": 4, "cell": 0.04},
+        ),
+        (
+            (5, 0.1), 0.015, (1, 0, -2), 1 / 120,
+            {"pos": (0, 0, 0.015), "rot": (HALF, 0, 0, HALF), "cells": 2, "cell": 0.05},
+        ),
+    ],
+)  # fmt: skip
+def test_grids_that_are_aligned_exactly_stay_finite_and_apart(cells, radius, vel, dt, second):
+    builder = novaphy.ModelBuilder(gravity=0.0)
+    grid(builder, pos=(0.0, 0.0, 1.0), cells=cells[0], cell=cells[1])
+    second = second | {"pos": np.add(second["pos"], (0.0, 0.0, 1.0))}
+    grid(builder, vel=vel, **second)
+    model = finalized(builder)
+    rollout = Rollout(solver_of(model, particle_self_contact_radius=radius), model)
+    for _ in range(10):
+        q = rollout.step(dt)
+    assert rollout.crossed == 0
+    assert np.abs(q - model.particle_q.numpy()).max() < 0.3
+
+
 @pytest.mark.parametrize(("stiffness", "is_deep"), [(1e3, False), (1.0, True)])
 def test_a_light_triangle_rests_where_the_potential_carries_it(stiffness, is_deep):
     builder = novaphy.ModelBuilder()
@@ -172,6 +202,21 @@ def test_a_start_that_crosses_is_named():
     state, after = model.state(), model.state()
     with pytest.raises(ValueError, match=r"edge of particles .* passes through the triangle of"):
         solver_of(model).step(state, after, None, None, 1 / 60)
+
+
+def test_a_start_that_touches_is_named():
+    for height, message in [(0.0, "got 0 m between particle"), (1e-6, None)]:
+        builder = novaphy.ModelBuilder(gravity=0.0)
+        grid(builder, pos=(0.0, 0.0, 0.0), cells=3)
+        grid(builder, pos=(0.01, 0.01, height), cells=3, vel=(0.0, 0.0, -1.0))
+        rollout = Rollout(solver_of(model := finalized(builder)), model)
+        if message:
+            with pytest.raises(ValueError, match=message):
+                rollout.step(1 / 120)
+        else:
+            for _ in range(10):
+                rollout.step(1 / 120)
+            assert rollout.crossed == 0
 
 
 def test_bad_options_are_named():

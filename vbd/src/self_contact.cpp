@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "novaphy/core/error.h"
 
@@ -10,7 +11,11 @@ namespace {
 
 constexpr const char* kName = "SolverVBD: ";
 constexpr double kLeastSlack = 1e-6;  // m
-constexpr float kParallel = 1e-3f;    // the factor 1e-3 of s in self_contact_law.h
+constexpr double kTouching = 1e-3;    // part of the slack, below which a distance is 0
+constexpr float kParallel = 1e-3f;    // of |e1|^2 |e2|^2, see self_contact_law.h
+// Smaller factors and weights are rounding. Their squares leave the range of floats.
+constexpr float kLeastFactor = 1e-6f;
+constexpr double kLeastWeight = 1e-6;
 
 // Returns the contact radius (m): the option, or twice the common radius of the vertices.
 float radius_of(const Model& m, const VbdSelfContact& o, std::span<const int32_t> vertices) {
@@ -24,6 +29,20 @@ float radius_of(const Model& m, const VbdSelfContact& o, std::span<const int32_t
       "particle_self_contact_radius: expected a number (m), because particle_radius varies from ",
       radius[*least], " to ", radius[*most], ", got none");
   return 2.0f * radius[*least];
+}
+
+// Copies the weights of a pair. The largest weight of a side takes over those that are rounding, so
+// that the weights of the side keep their sum.
+void set_weights(const SurfacePair& pair, const double (&from)[4], double (&to)[4]) {
+  std::copy_n(from, 4, to);
+  for (int a = 0; a < 4; ++a) {
+    if (!(std::abs(to[a]) < kLeastWeight)) continue;
+    int largest = a;
+    for (int b = 0; b < 4; ++b)
+      if (pair.is_first(a) == pair.is_first(b) && std::abs(to[b]) > std::abs(to[largest]))
+        largest = b;
+    to[largest] += std::exchange(to[a], 0.0);
+  }
 }
 
 }  // namespace
@@ -112,15 +131,39 @@ void SelfContact::begin(const Rows& rows) {
     shift[w] = shift[w] + (wide(rows.x[index(p)]) - wide(rows.start[index(p)]));
     count[w] += 1.0;
   }
-  for (const int32_t p : vertices_) {
-    const size_t w = index(world_[index(p)]);
-    const Vec3d by = moves_freely_[w] != 0 ? shift[w] * (1.0 / count[w]) : Vec3d{};
-    reference_[index(p)] = narrow_row(wide(rows.start[index(p)]) + by);
+  for (size_t w = 0; w < shift.size(); ++w)
+    shift[w] = moves_freely_[w] != 0 && count[w] > 0.0 ? shift[w] * (1.0 / count[w]) : Vec3d{};
+  const auto place = [&] {
+    for (const int32_t p : vertices_)
+      reference_[index(p)] =
+          narrow_row(wide(rows.start[index(p)]) + shift[index(world_[index(p)])]);
+    origin_ = reference_;
+    for (int32_t w = 0; w < worlds_; ++w) set_reach(w);
+    detect();
+  };
+  place();
+  // The rounding of a displacement could bring sides together that are this near.
+  bool is_near = false;
+  for (const SurfacePair& pair : pairs_) {
+    if (wide(pair.distance) > slack_) continue;
+    shift[index(world_[index(pair.particle[0])])] = Vec3d{};
+    is_near = true;
   }
-  origin_ = reference_;
-  for (int32_t w = 0; w < worlds_; ++w) set_reach(w);
-  detect();
+  if (is_near) place();
+  check_apart();
   for (const int32_t p : vertices_) hold_particle(p);
+}
+
+// ErrorKind::Value: a pair has no direction from one side to the other.
+void SelfContact::check_apart() const {
+  for (const SurfacePair& pair : pairs_) {
+    if (wide(pair.distance) > kTouching * slack_) continue;
+    const auto& [p, a, b, c] = pair.particle;
+    fail(ErrorKind::Value, "SolverVBD.step: state_in.particle_q: expected surfaces that are apart, ",
+         "got 0 m between ", pair.has_edges ? "the edge of particles " : "particle ", p,
+         pair.has_edges ? " and " : " and the triangle of particles ", a,
+         pair.has_edges ? " and that of particles " : ", ", b, " and ", c);
+  }
 }
 
 void SelfContact::end() {
@@ -167,12 +210,11 @@ void SelfContact::find_contacts(const Given& given) {
                  .gap = nearest.distance,
                  .factor = edge_factor(pair),
                  .load = 0.0f};
-    if (c.factor == 0.0f) continue;
+    if (c.factor < kLeastFactor) continue;
     c.load = -c.factor * gap_slopes(narrow(c.gap), pair.radius, model_.soft_contact_ke).first;
-    for (size_t a = 0; a < 4; ++a) {
-      c.weight[a] = nearest.weight[a];
+    set_weights(pair, nearest.weight, c.weight);
+    for (size_t a = 0; a < 4; ++a)
       corners_.push_back(c.weight[a] != 0.0 ? pair.particle[a] : -1);
-    }
     contacts_.push_back(c);
   }
   contacts_of_.build(corners_, model_.particle_count());

@@ -58,8 +58,7 @@ class SelfContact {
   SelfContact(const Model& model, const ColorSlots& slots, const VbdSelfContact& options);
 
   // Detects pairs at the start of a step, and moves the particles towards the initial guess as far
-  // as the bounds allow. ErrorKind::Value: surfaces cross at the start. The message names the
-  // features.
+  // as the bounds allow. ErrorKind::Value, with the pair: surfaces cross or touch at the start.
   void begin(const Rows& rows);
   // Computes new bounds for particles that a bound stopped.
   void detect_again();
@@ -95,6 +94,7 @@ class SelfContact {
   };
 
   Vec3d at(int32_t p) const;
+  void check_apart() const;
   void set_reach(int32_t world);
   void set_planes(int32_t p);
   void place_again(std::span<const char> is_new);

@@ -145,7 +145,14 @@ void SelfContact::hold_particle(int32_t p) {
   }
   is_cut_[i] = is_far ? kByReach : kByPlane;
   wish_[i] = rows_.x[i];
-  const Vec4f x = narrow_row(from + d * t);
+  Vec4f x = narrow_row(from + d * t);
+  // Rounding must not bring a particle nearer to a plane that has no room left.
+  for (int32_t k = pairs_of_.begins()[i]; t > 0.0 && k < pairs_of_.begins()[i + 1]; ++k) {
+    const Plane& plane = planes_of_[index(k)];
+    if (plane.height(wide(x)) >= std::min(plane.height(from), 0.0)) continue;
+    x = reference_[i];
+    break;
+  }
   const Vec4f& start = rows_.start[i];
   rows_.x[i] = x;
   if (!slots_.is_held(p)) rows_.moved[i] = {x.x - start.x, x.y - start.y, x.z - start.z, 0.0f};

@@ -8,6 +8,7 @@
 // Source: C. Ericson, Real-Time Collision Detection (2005), 5.1.5 and 5.1.9.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 
 #include "novaphy/math/types.h"
@@ -37,7 +38,7 @@ inline NearestWeights nearest_to_triangle(const Vec3d (&x)[4]) {
   const double d3 = math::dot(ab, bp), d4 = math::dot(ac, bp);
   if (d3 >= 0.0 && d4 <= d3) return with_distance(x, 1.0, 0.0, -1.0, 0.0);
   const double of_c = d1 * d4 - d3 * d2;
-  if (of_c <= 0.0 && d1 >= 0.0 && d3 <= 0.0) {
+  if (of_c <= 0.0 && d1 >= 0.0 && d3 <= 0.0 && d1 > d3) {
     const double t = d1 / (d1 - d3);
     return with_distance(x, 1.0, t - 1.0, -t, 0.0);
   }
@@ -53,7 +54,18 @@ inline NearestWeights nearest_to_triangle(const Vec3d (&x)[4]) {
     const double t = (d4 - d3) / ((d4 - d3) + (d5 - d6));
     return with_distance(x, 1.0, 0.0, t - 1.0, -t);
   }
-  const double v = of_b / ((of_a + of_b) + of_c), w = of_c / ((of_a + of_b) + of_c);
+  const double all = (of_a + of_b) + of_c;
+  const double ab2 = d1 - d3, ac2 = d2 - d6, bc2 = (d4 - d3) + (d5 - d6);
+  if (!(all > 1e-12 * (ab2 * ac2))) {  // without area a triangle is its longest edge
+    const auto part = [](double along, double square) {
+      return square > 0.0 ? std::min(std::max(along / square, 0.0), 1.0) : 0.0;
+    };
+    const double t = part(d1, ab2), u = part(d2, ac2), s = part(d4 - d3, bc2);
+    if (ab2 >= ac2 && ab2 >= bc2) return with_distance(x, 1.0, t - 1.0, -t, 0.0);
+    if (ac2 >= bc2) return with_distance(x, 1.0, u - 1.0, 0.0, -u);
+    return with_distance(x, 1.0, 0.0, s - 1.0, -s);
+  }
+  const double v = of_b / all, w = of_c / all;
   return with_distance(x, 1.0, (v + w) - 1.0, -v, -w);
 }
 

@@ -81,28 +81,22 @@ CoarseTables::CoarseTables(const Model& model, const ColorSlots& slots) {
   const std::vector<int32_t>& component = slots.components();
   IndexRows particles_of;
   particles_of.build(component, slots.component_count());
-  std::vector<int32_t> system_of(count, -1);  // of each component; -1: too small for a system
   for (int32_t c = 0; c < slots.component_count(); ++c) {
     const auto of = particles_of.items(c);
     if (of.size() < 2) continue;
-    system_of[static_cast<size_t>(c)] = static_cast<int32_t>(system_begin.size()) - 1;
+    is_free.push_back(slots.is_free(c) ? 1 : 0);
     std::vector<int32_t> particles(of.begin(), of.end());
     const int rank = frame_of(points, particles.data(), particles.size()).rank;
     const int64_t wanted = (static_cast<int64_t>(particles.size()) + kParticles / 2) / kParticles;
     split(points, particles, 0, particles.size(),
           std::clamp<int64_t>(wanted, 1, kUnknowns / (3 * (rank + 1))));
-    system.resize(member_begin.size() - 1, system_of[static_cast<size_t>(c)]);
+    system.resize(member_begin.size() - 1, static_cast<int32_t>(system_begin.size()) - 1);
     system_begin.push_back(static_cast<int32_t>(member_begin.size()) - 1);
     const int64_t unknowns = 3 * (function_begin.back() -
                                   function_begin[static_cast<size_t>(*(system_begin.end() - 2))]);
     matrix_begin.push_back(matrix_end);
     matrix_end += unknowns * unknowns;
   }
-  is_free.assign(matrix_begin.size(), 1);
-  visit_corners(slots, [&](int32_t p, int32_t other) {
-    const int32_t of = system_of[static_cast<size_t>(component[static_cast<size_t>(p)])];
-    if (of >= 0 && slots.is_held(other)) is_free[static_cast<size_t>(of)] = 0;
-  });
   find_near(slots);
   add_pairs();
 }

@@ -81,7 +81,7 @@ void ColorSlots::find_held(const Model& model) {
   }
 }
 
-// Finds the connected components of the particles that move. Elements connect their particles.
+// Joins the particles of each element that move, and marks the components without kinematic ones.
 void ColorSlots::find_components(const Model& model) {
   component_.resize(is_held_.size());
   std::iota(component_.begin(), component_.end(), 0);
@@ -90,23 +90,32 @@ void ColorSlots::find_components(const Model& model) {
     while (up(p) != p) p = up(p) = up(up(p));
     return p;
   };
+  std::vector<bool> is_tied(component_.size(), false);
   visit_elements(model, [&](auto is, int32_t, const int32_t* corners) {
     for (int c = 0; c < decltype(is)::Slot::kCorners; ++c)
       for (int d = 0; d < c; ++d) {
-        if (is_held(corners[c]) || is_held(corners[d])) continue;
+        if (is_held(corners[c]) || is_held(corners[d])) {
+          for (const int32_t p : {corners[c], corners[d]}) is_tied[static_cast<size_t>(p)] = true;
+          continue;
+        }
         const int32_t first = root(corners[c]), second = root(corners[d]);
         component_[static_cast<size_t>(std::max(first, second))] = std::min(first, second);
       }
   });
-  std::vector<int32_t> number(component_.size());  // component of each first particle
-  component_count_ = 0;
+  std::vector<int32_t> number(component_.size());  // of the components named by first particles
+  is_free_.clear();
   for (int32_t p = 0; p < model.particle_count(); ++p) {
     const auto first = static_cast<size_t>(root(p)), at = static_cast<size_t>(p);
-    if (first == at && !is_held(p)) number[at] = component_count_++;
+    if (first == at && !is_held(p)) {
+      number[at] = component_count();
+      is_free_.push_back(1);
+    }
     component_[at] = static_cast<int32_t>(first);
   }
-  for (size_t p = 0; p < number.size(); ++p)
+  for (size_t p = 0; p < number.size(); ++p) {
     component_[p] = is_held_[p] != 0 ? -1 : number[static_cast<size_t>(component_[p])];
+    if (is_held_[p] == 0 && is_tied[p]) is_free_[static_cast<size_t>(component_[p])] = 0;
+  }
 }
 
 // Collects the slots of every particle, by role, in the order of the elements.

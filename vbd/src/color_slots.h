@@ -39,7 +39,9 @@ class ColorSlots {
   // Returns the connected component of each particle, or -1 for a kinematic particle. Components
   // are numbered in the order of their first particles.
   const std::vector<int32_t>& components() const { return component_; }
-  int32_t component_count() const { return component_count_; }
+  int32_t component_count() const { return static_cast<int32_t>(is_free_.size()); }
+  // Whether no element connects component c to a kinematic particle.
+  bool is_free(int32_t c) const { return is_free_[static_cast<size_t>(c)] != 0; }
   // The groups of color c are [color_begin()[c], color_begin()[c + 1]).
   const std::vector<int64_t>& color_begin() const { return color_begin_; }
   // Returns whether an element has two moving particles of the same color.
@@ -72,11 +74,11 @@ class ColorSlots {
   int lanes_ = 1;
   std::vector<int32_t> is_held_;
   std::vector<int32_t> held_, component_;
+  std::vector<char> is_free_;  // of components
   std::vector<int64_t> color_begin_, numbers_begin_;
   std::vector<int32_t> particle_, filled_;
   std::vector<float> mass_by_h2_;
   Table tables_[kRoles];
-  int32_t component_count_ = 0;
   bool has_conflicts_ = false;
 };
 

@@ -90,6 +90,7 @@ SelfContact::SelfContact(const Model& m, const ColorSlots& slots, const VbdSelfC
     if (is_apart) world_[index(p)] = world[index(p)];
     if (slots.is_held(p)) moves_freely_[index(world_[index(p)])] = 0;
   }
+  make_groups();
   color_.assign(n, -1);
   const std::vector<int64_t>& colors = slots.color_begin();
   for (size_t c = 0; c + 1 < colors.size(); ++c)
@@ -118,6 +119,8 @@ void SelfContact::begin(const Rows& rows) {
     const Vec4f& v = rows.start[index(p)];
     most = std::max({most, std::abs(v.x), std::abs(v.y), std::abs(v.z)});
   }
+  next_ = apart_;
+  is_balanced_ = has_others_;
   slack_ = std::max(kLeastSlack, 4.0 * 0x1p-23 * wide(most));
   detections_.assign(index(worlds_), 1);
   std::fill(is_cut_.begin(), is_cut_.end(), 0);
@@ -216,6 +219,7 @@ void SelfContact::find_contacts(const Given& given) {
     for (size_t a = 0; a < 4; ++a)
       corners_.push_back(c.weight[a] != 0.0 ? pair.particle[a] : -1);
     contacts_.push_back(c);
+    join(pair);
   }
   contacts_of_.build(corners_, model_.particle_count());
   lay_numbers(given);

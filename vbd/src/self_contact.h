@@ -42,7 +42,7 @@ class SelfContact {
 
   // The memory of a step, one row for each particle, and the scalars of the step.
   struct Rows {
-    std::span<const Vec4f> start;
+    std::span<const Vec4f> start, target;
     std::span<Vec4f> moved, x;
     float h = 0.0f;     // s
     float slip = 0.0f;  // m, eps of particle_contact_law.h
@@ -68,6 +68,9 @@ class SelfContact {
   void put_numbers(int64_t first_group, int64_t end_group);
   // Moves the particles of some groups back into their bounds.
   void hold(int64_t first_group, int64_t end_group);
+  // Moves free components that touched each other by a common translation. Together they then have
+  // the momentum that gravity and the external forces give.
+  void balance(const Given& given);
   // Ends the step. ErrorKind::Runtime: a kinematic particle would cross a surface on its way.
   void end();
 
@@ -104,6 +107,12 @@ class SelfContact {
   void for_particles(int64_t first_group, int64_t end_group, const Body& body) const;
   void lay_numbers(const Given& given);
   void hold_particle(int32_t p);
+  int32_t part_of(int32_t p) const;
+  int32_t group_of(int32_t c);
+  void make_groups();
+  bool join(const SurfacePair& pair);
+  void set_shifts();
+  bool meets_obstacle(bool searches);
   float edge_factor(const SurfacePair& pair) const;
   SurfaceForce<float> force_of(const Contact& c) const;
   float corners_together(const Contact& c, int32_t p) const;
@@ -129,6 +138,14 @@ class SelfContact {
   DeviceArray<int32_t> begins_;
   DeviceArray<float> numbers_;
   IndexRows pairs_of_, contacts_of_;  // of particles: 4 times the pair or contact, plus the corner
+  // Groups of components that touched (self_contact_balance.cpp). Of each component: the next one of
+  // its group, and whether its momentum is balanced. The last one of a group leads to itself. One
+  // more entry is for all that is not free. `apart_` and `has_others_` are those of the start.
+  std::vector<int32_t> next_, apart_;
+  std::vector<char> is_balanced_, has_others_;
+  std::vector<Vec3d> shift_;  // m: of components
+  std::vector<double> mass_;  // kg: of groups
+  std::vector<char> is_far_;  // of worlds: see meets_obstacle
   Rows rows_;
 };
 

@@ -133,6 +133,7 @@ void SelfContact::hold_particle(int32_t p) {
       const double after = plane.height(to);
       if (after >= 0.0) continue;
       const double before = plane.height(from);
+      if (after < before) join(pairs_[index(pairs_of_.all()[index(k)] / 4)]);
       if (before >= 0.0) {
         t = std::min(t, kShare * before / (before - after));
       } else if (after < before) {

@@ -11,6 +11,7 @@ void Step::iterate_in_contact() {
       has_contacts_ ? SelfContact::Given{contact_begin_.data(), contact_numbers_.data()}
                     : SelfContact::Given{};
   contact.begin({.start = {start_.data(), start_.rows()},
+                 .target = {target_.data(), target_.rows()},
                  .moved = {moved_.mutable_data(), moved_.rows()},
                  .x = {x_.mutable_data(), x_.rows()},
                  .h = tables_->dt,
@@ -27,6 +28,7 @@ void Step::iterate_in_contact() {
       contact.hold(first, end);
     }
   }
+  contact.balance(given);
   contact.find_contacts(given);
   contact.put_numbers(0, colors().back());  // for the residual
   contact.end();

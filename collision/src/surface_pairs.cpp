@@ -6,6 +6,7 @@
 
 #include "box_tree.h"
 #include "novaphy/collision/geometry/nearest_weights.h"
+#include "novaphy/core/sim/for_chunks.h"
 
 namespace novaphy {
 namespace {
@@ -13,7 +14,8 @@ namespace {
 using geometry::Box3;
 using geometry::Vec3d;
 
-constexpr float kOfRest = 0.9f;  // factor of the rest distance
+constexpr float kOfRest = 0.9f;  // part of the distance at rest
+constexpr int64_t kChunk = 64;   // triangles that a thread takes at once
 
 Vec3d wide(const Vec4f& v) {
   return {static_cast<double>(v.x), static_cast<double>(v.y), static_cast<double>(v.z)};
@@ -85,10 +87,14 @@ struct SurfacePairs::Work {
   float radius = 0.0f, shortest = 0.0f;
   std::vector<bool> is_vertex;
   std::vector<SurfacePair> near_at_rest;  // sorted by `before`
-  std::vector<SurfacePair> pairs, of_edges;
+  std::vector<SurfacePair> pairs;
   detail::BoxTree tree;  // of triangles
   std::vector<Box3> of_particles;
-  std::vector<int32_t> met;
+  struct Chunk {
+    std::vector<SurfacePair> pairs, of_edges;
+    std::vector<int32_t> met;
+  };
+  std::vector<Chunk> chunks;  // of triangles
 
   void add_triangles(std::span<const Vec3i> of, std::span<const int32_t> world) {
     std::map<std::array<int32_t, 2>, int32_t> numbers;
@@ -129,7 +135,7 @@ struct SurfacePairs::Work {
   }
   template <size_t n, size_t m>
   void try_pair(const Features<n>& of_a, int32_t a, const Features<m>& of_b, int32_t b,
-                std::span<const Vec4f> x) {
+                std::span<const Vec4f> x, Chunk& to) const {
     const auto i = static_cast<size_t>(a), j = static_cast<size_t>(b);
     if (!geometry::boxes_meet(of_a.boxes[i], of_b.boxes[j])) return;
     if (share_corner(of_a.corners[i], of_b.corners[j])) return;
@@ -138,31 +144,42 @@ struct SurfacePairs::Work {
     for (size_t k = 0; k < m; ++k) pair.particle[n + k] = of_b.corners[j][k];
     const float most = (radius + (of_a.reaches[i] + of_b.reaches[j])) * 1.00001f;
     pair.distance = static_cast<float>(nearest(pair, x).distance);
-    if (pair.distance < most) (n == 2 ? of_edges : pairs).push_back(pair);
+    if (pair.distance < most) (n == 2 ? to.of_edges : to.pairs).push_back(pair);
   }
   // Two features can meet only if the boxes of the triangles that own them overlap. Each pair of
   // triangles is visited once. Each pair of features is therefore visited once, too.
   void find(std::span<const Vec4f> x, std::span<const float> reach, std::span<const Box3> regions) {
-    pairs.clear();
-    of_edges.clear();
     set_boxes(x, reach, regions, 0.5f * radius);
     tree.fit(triangles.boxes);
-    for (int32_t s = 0; s < static_cast<int32_t>(owned.size()); ++s) {
-      const auto i = static_cast<size_t>(s);
-      met.clear();
-      tree.visit(triangles.boxes[i], worlds[i], s + 1, [&](int32_t t) {
-        if (t > s) met.push_back(t);
-      });
-      std::sort(met.begin(), met.end());
-      for (const int32_t t : met) {
-        const Owned &a = owned[i], &b = owned[static_cast<size_t>(t)];
-        for (int k = 0; k < a.vertex_count; ++k) try_pair(vertices, a.vertices[k], triangles, t, x);
-        for (int k = 0; k < b.vertex_count; ++k) try_pair(vertices, b.vertices[k], triangles, s, x);
-        for (int k = 0; k < a.edge_count; ++k)
-          for (int l = 0; l < b.edge_count; ++l) try_pair(edges, a.edges[k], edges, b.edges[l], x);
-      }
+    const auto count = static_cast<int64_t>(owned.size());
+    chunks.resize(static_cast<size_t>(chunk_count(count, kChunk)));
+    for_chunks(count, kChunk, [&](int64_t begin, int64_t end, int64_t chunk) {
+      Chunk& to = chunks[static_cast<size_t>(chunk)];
+      to.pairs.clear();
+      to.of_edges.clear();
+      for (int64_t s = begin; s < end; ++s) find_of(static_cast<int32_t>(s), x, to);
+    });
+    pairs.clear();
+    for (const Chunk& c : chunks) pairs.insert(pairs.end(), c.pairs.begin(), c.pairs.end());
+    for (const Chunk& c : chunks) pairs.insert(pairs.end(), c.of_edges.begin(), c.of_edges.end());
+  }
+  void find_of(int32_t s, std::span<const Vec4f> x, Chunk& to) const {
+    const auto i = static_cast<size_t>(s);
+    to.met.clear();
+    tree.visit(triangles.boxes[i], worlds[i], s + 1, [&](int32_t t) {
+      if (t > s) to.met.push_back(t);
+    });
+    std::sort(to.met.begin(), to.met.end());
+    for (const int32_t t : to.met) {
+      const Owned &a = owned[i], &b = owned[static_cast<size_t>(t)];
+      for (int k = 0; k < a.vertex_count; ++k)
+        try_pair(vertices, a.vertices[k], triangles, t, x, to);
+      for (int k = 0; k < b.vertex_count; ++k)
+        try_pair(vertices, b.vertices[k], triangles, s, x, to);
+      for (int k = 0; k < a.edge_count; ++k)
+        for (int l = 0; l < b.edge_count; ++l)
+          try_pair(edges, a.edges[k], edges, b.edges[l], x, to);
     }
-    pairs.insert(pairs.end(), of_edges.begin(), of_edges.end());
   }
 };
 

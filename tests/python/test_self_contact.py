@@ -95,13 +95,13 @@ def test_two_sheets_that_collide_keep_their_momentum():
     assert np.abs(after - before).max() < 1e-5 * np.abs(before).max()
 
 
-@pytest.mark.parametrize(("ratio", "dt", "third"), [(10, 1 / 300, False), (100, 1 / 60, True)])
-def test_free_sheets_of_unequal_mass_keep_their_momentum(ratio, dt, third):
+@pytest.mark.parametrize(("ratio", "dt", "speed"), [(10, 1 / 300, 1.0), (100, 1 / 60, 2.0)])
+def test_free_sheets_of_unequal_mass_keep_their_momentum(ratio, dt, speed):
     builder = novaphy.ModelBuilder(gravity=0.0)
     grid(builder, pos=(0.0, 0.0, 0.0), cells=6, mass=2e-4 * ratio)
-    grid(builder, pos=(0.009, 0.007, 0.012), cells=6, vel=(0.2, 0.0, -1.0))
-    if third:  # in the way of the other two, once they have touched
-        grid(builder, pos=(0.004, 0.002, -0.012), cells=6, vel=(0.0, 0.0, 1.0))
+    grid(builder, pos=(0.009, 0.007, 0.012), cells=6, vel=(0.2, 0.0, -speed))
+    if speed > 1.0:  # a third sheet where the momentum of the other two moves them
+        grid(builder, pos=(0.004, 0.002, 0.022), cells=4, vel=(0.0, 0.0, -0.916))
     rollout = Rollout(solver_of(model := finalized(builder)), model)
     mass, velocity = model.particle_mass.numpy()[:, None].astype(float), model.particle_qd.numpy()
     before, energy = mass * velocity, (mass * velocity**2).sum()

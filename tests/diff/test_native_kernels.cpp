@@ -18,6 +18,10 @@
 #include "novaphy/nova/optim.h"
 #include "novaphy/nova/tape.h"
 
+#if defined(__x86_64__)
+#include <cpuid.h>
+#endif
+
 namespace novaphy::testing {
 namespace {
 
@@ -185,6 +189,32 @@ class Machine {
   novaphy_device* device_ = nullptr;
   novaphy_stream* stream_ = nullptr;
 };
+
+#if defined(__x86_64__)
+// Returns whether the upper parts of vector registers are in use. False where the processor does
+// not tell.
+bool uses_upper_parts() {
+  uint32_t a = 0, b = 0, c = 0, d = 0;
+  constexpr uint32_t kOsxsave = 1u << 27, kXgetbv1 = 1u << 2, kUpper = 1u << 2;
+  if (__get_cpuid(1, &a, &b, &c, &d) == 0 || (c & kOsxsave) == 0) return false;
+  if (__get_cpuid_count(0xd, 1, &a, &b, &c, &d) == 0 || (a & kXgetbv1) == 0) return false;
+  __asm__ volatile("xgetbv" : "=a"(a), "=d"(d) : "c"(1));
+  return (a & kUpper) != 0;
+}
+
+TEST(NativeKernels, NoneLeavesTheUpperPartsOfVectorRegistersInUse) {
+  const novaphy_backend_api* api = plugin_api();
+  ASSERT_NE(api, nullptr);
+  const Machine machine(api);
+  uint32_t seed = 1;
+  for (const ir::Program& p : engine_programs()) {
+    const RandomArguments in(p, 32, seed++);
+    std::vector<std::vector<uint32_t>> outputs;
+    machine.run(p, 32, in.arguments, outputs, true);
+    EXPECT_FALSE(uses_upper_parts()) << p.name;
+  }
+}
+#endif
 
 // Returns for every output a source of the same shape that is read at the own row, or -1.
 std::vector<int32_t> sources_in_place(const ir::Program& p) {

@@ -220,6 +220,82 @@ TEST(TreeSteps, LanesOfLongTreesThatTouchHaveTheBitsOfTreesAlone) {
   expect_lanes_as_alone(true, true, 30, 8);
 }
 
+// Two boxes in a pile on the ground, and a ball that rolls at them with the speed `speed` + 0.1 i
+// in world i. Every third world has no second box. Returns the coordinates of each world after
+// every step.
+std::vector<std::vector<float>> run_piles(size_t first, size_t count, float tolerance) {
+  ModelBuilder all;
+  ShapeConfig surface;
+  surface.mu = 0.5f;
+  surface.gap = 0.02f;
+  for (size_t i = first; i < first + count; ++i) {
+    ModelBuilder one;
+    one.add_ground_plane({.cfg = surface});
+    for (int k = 0; k < (i % 3 == 2 ? 1 : 2); ++k)
+      one.add_shape_box(one.add_body({.xform = {{0, 0, 0.1f + 0.2f * k}, Quatf::identity()}}),
+                        {.hx = 0.1f, .hy = 0.1f, .hz = 0.1f, .cfg = surface});
+    one.add_shape_sphere(one.add_body({.xform = {{-0.2f, 0.03f, 0.09f}, Quatf::identity()}}),
+                         {.radius = 0.09f, .cfg = surface});
+    all.add_world(one);
+  }
+  const auto model = all.finalize();
+  SimState now = model->state(), next = model->state();
+  std::vector<float> qd = model->joint_qd.to_host();
+  for (size_t k = 0, dof = 0; k < count; ++k) {
+    dof += (first + k) % 3 == 2 ? 12 : 18;
+    qd[dof - 6] = 1.0f + 0.1f * static_cast<float>(first + k);
+  }
+  set(now.joint_qd, qd);
+  FeatherstoneOptions options;
+  options.pgs_iterations = 200;
+  options.pgs_tolerance = tolerance;
+  SolverFeatherstone solver(model, options);
+  CollisionPipeline pipeline(model);
+  Contacts contacts = pipeline.contacts();
+  std::vector<std::vector<float>> values(count);
+  for (int t = 0; t < 40; ++t) {
+    pipeline.collide(now, contacts);
+    solver.step(now, next, nullptr, &contacts, 2e-3f);
+    std::swap(now, next);
+    const std::vector<float> q = now.joint_q.to_host(), rates = now.joint_qd.to_host();
+    auto at = q.begin(), rate = rates.begin();
+    for (size_t k = 0; k < count; ++k) {
+      const std::ptrdiff_t bodies = (first + k) % 3 == 2 ? 2 : 3;
+      values[k].insert(values[k].end(), at, at + 7 * bodies);
+      values[k].insert(values[k].end(), rate, rate + 6 * bodies);
+      at += 7 * bodies;
+      rate += 6 * bodies;
+    }
+  }
+  return values;
+}
+
+// Islands of two and three bodies share lanes with those of other worlds. With the tolerances, few
+// or many islands need more sweeps than others.
+TEST(TreeSteps, IslandsOfManyWorldsHaveTheBitsOfIslandsAlone) {
+  constexpr size_t kWorlds = 30;
+  for (const float tolerance : {1e-4f, 1e-6f}) {
+    std::vector<std::vector<float>> alone;
+    for (size_t i = 0; i < kWorlds; ++i) alone.push_back(run_piles(i, 1, tolerance)[0]);
+    for (const char* name : {"baseline", "avx2", "avx512"}) {
+      if (!has_level(name)) continue;
+      const Level level(name);
+      for (const int threads : {1, 3}) {
+        set_num_threads(threads);
+        const auto together = run_piles(0, kWorlds, tolerance);
+        for (size_t i = 0; i < kWorlds; ++i) {
+          ASSERT_EQ(together[i].size(), alone[i].size());
+          EXPECT_EQ(
+              std::memcmp(together[i].data(), alone[i].data(), together[i].size() * sizeof(float)),
+              0)
+              << name << ", " << threads << " threads, world " << i;
+        }
+      }
+    }
+  }
+  set_num_threads(available_cpus());
+}
+
 TEST(TreeSteps, AWorldThatFailsLeavesTheNewStateAsItWas) {
   const auto worlds = random_worlds(*creature().finalize(), 20);
   ModelBuilder one = creature(), all;

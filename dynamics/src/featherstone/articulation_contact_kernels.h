@@ -27,7 +27,7 @@
 #include "novaphy/dynamics/articulation/matrix_trees.h"
 // clang-format on
 #include "novaphy/core/row_kernel.h"
-#include "novaphy/dynamics/articulation/group_step.h"
+#include "novaphy/dynamics/articulation/group_notes.h"
 
 namespace novaphy {
 
@@ -85,7 +85,8 @@ NOVAPHY_ROW_KERNEL(articulation_contact_start, ArticulationContactStepArguments)
     start_tree(group_of_tree(a, row), static_cast<int32_t>(row));
 }
 NOVAPHY_ROW_KERNEL(articulation_contact_solve, ArticulationContactStepArguments) {
-  if (a.of.nodes[row].root == row && a.of.nodes[row].taken == 0)
+  const IslandNode& node = a.of.nodes[row];
+  if (node.root == row && node.taken == 0 && node.solved == 0)
     solve_island(group_of_tree(a, row), static_cast<int32_t>(row));
 }
 NOVAPHY_ROW_KERNEL(articulation_contact_finish, ArticulationContactStepArguments) {

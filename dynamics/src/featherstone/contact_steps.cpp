@@ -320,13 +320,17 @@ void ContactSteps::step(const ArticulationStepArguments& of, const ContactArgume
     launch(k.contact_islands, articulation_contact_islands, groups_, true);
     const bool some = lanes == nullptr || take_trees(o, *lanes, record.records, sleeping);
     if (some && lanes != nullptr) launch(k.contact_start, articulation_contact_start, trees);
+    if (some && lanes != nullptr) islands_.solve(*last_, trees);
     if (some) launch(k.contact_solve, articulation_contact_solve, trees);
     if (some) launch(k.contact_finish, articulation_contact_finish, trees);
     if (record.notes) launch(k.contact_notes, articulation_contact_notes, groups_, true);
   }
-  if (!o.warm_start || (lanes != nullptr && has_failed())) return;
+  if (o.warm_start && (lanes == nullptr || !has_failed())) keep(contacts.most, of.in.dt);
+}
+
+void ContactSteps::keep(int64_t contacts, const Number<float>& dt) {
   const int64_t dofs = model_.joint_dof_count();
-  run(k.contact_keep, std::max({contacts.most, groups_ + 1, dofs}),
+  run(contact_kernels().contact_keep, std::max({contacts, groups_ + 1, dofs}),
       {.begin = contact_begin_,
        .now = Untyped(now_),
        .now_friction = now_friction_,
@@ -334,7 +338,7 @@ void ContactSteps::step(const ArticulationStepArguments& of, const ContactArgume
        .kept = Untyped(kept_),
        .kept_friction = kept_friction_,
        .kept_dt = kept_dt_,
-       .dt = of.in.dt,
+       .dt = dt,
        .groups = groups_,
        .dofs = dofs});
 }

@@ -1,7 +1,7 @@
-// ContactSteps: steps of articulations with contacts and dry friction (articulation/pgs.h), with
-// their adjoints and tangents, as launches of articulation_contact_kernels.h. The islands of a
-// group are solved one after the other, and the contacts of an island in their order. The result
-// therefore does not depend on the number of threads or the device.
+// Steps of articulations with contacts and dry friction (articulation/pgs.h), with their adjoints
+// and tangents, as launches of articulation_contact_kernels.h. Each island is solved by itself,
+// with its contacts in their order. The result is therefore independent of the number of threads
+// and of the device.
 #pragma once
 
 #include <optional>
@@ -11,6 +11,7 @@
 
 #include "articulation_contact_kernels.h"
 #include "contact_events.h"
+#include "island_lanes.h"
 #include "novaphy/core/array_stamp.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/dynamics/articulation/contact_note.h"
@@ -159,6 +160,8 @@ class ContactSteps {
   // `record`: which results to clear.
   void list_contacts(const ContactArguments& contacts, const ContactRecord& record,
                      const SleepingTrees* sleeping = nullptr) const;
+  // Keeps the impulses of a step for the warm start of the next step.
+  void keep(int64_t contacts, const Number<float>& dt);
   void hold_some(const SleepingTrees& sleeping);
   ContactShapes shapes(const ContactArguments& contacts) const;
   ContactGroupArguments groups(const ContactArguments& contacts, const FeatherstoneOptions& options,
@@ -186,8 +189,9 @@ class ContactSteps {
   bool has_friction_ = false, on_stack_;
   bool has_run_ = false;                                  // whether the last step had rows
   std::optional<ArticulationContactStepArguments> last_;  // in host memory, on the CPU
-  std::vector<int32_t> taken_;                            // trees that TreeSteps solves
-  // the rows of all trees, with sleeping trees marked as not moving
+  std::vector<int32_t> taken_;                            // the trees that TreeSteps takes
+  IslandLanes islands_;
+  // the rows with sleeping trees held in place
   std::vector<ArticulationRows> rows_;
   std::vector<int32_t> met_;                              // sleeping trees with a contact
   bool has_long_trees_ = false;  // some tree has no mass matrix, but the kernels need one

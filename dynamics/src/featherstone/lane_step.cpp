@@ -337,7 +337,10 @@ void vjp(const LaneVjpArguments& v) {
 
 }  // namespace
 
+int64_t islands_memory(const LaneIslands& a);  // lane_islands.cpp
+void sweep_islands(const LaneIslands& a);
 extern const LaneLevel kLevel;
-const LaneLevel kLevel = {NOVAPHY_LEVEL_NAME, LANES, memory, step, vjp_memory, vjp};
+const LaneLevel kLevel = {NOVAPHY_LEVEL_NAME, LANES, memory,         step,
+                          vjp_memory,         vjp,   islands_memory, sweep_islands};
 
 }  // namespace novaphy::articulation::NOVAPHY_LEVEL

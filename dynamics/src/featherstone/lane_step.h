@@ -71,6 +71,8 @@ struct LaneVjpArguments {
   int32_t add = 0;                        // flags of StepGradient
 };
 
+struct LaneIslands;  // lane_islands.h
+
 struct LaneLevel {
   const char* name;
   int32_t lanes;
@@ -80,6 +82,8 @@ struct LaneLevel {
   bool (*step)(const LaneStepArguments&);
   int64_t (*vjp_memory)(const TreeShape&);
   void (*vjp)(const LaneVjpArguments&);
+  int64_t (*islands_memory)(const LaneIslands&);
+  void (*sweep_islands)(const LaneIslands&);
 };
 // Returns the best instruction set level for this processor, or the level that NOVAPHY_CPU_ISA
 // names.

@@ -268,45 +268,69 @@ inline articulation::IslandContact* rows_of(const GroupStep& s, int32_t root) {
   return reinterpret_cast<articulation::IslandContact*>(s.rows_memory(root));
 }
 
-// Solves a coupled island, or any other island.
-inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root) {
+// Calls f(row) for the contacts of a coupled island.
+template <class F>
+void for_rows(const GroupStep& s, int32_t root, bool back, const F& f) {
+  const int32_t count = s.a.nodes[root].rows;
+  articulation::IslandContact* const rows = rows_of(s, root);
+  for (int32_t k = 0; k < count; ++k) f(rows[back ? count - 1 - k : k]);
+}
+// Completes the data of a contact (island_sweeps.h).
+inline void complete_row(const GroupStep& s, articulation::IslandContact& row) {
+  articulation::build_responses(
+      s.contacts, [&](int32_t i) { return s.tree(i); }, row);
+  articulation::set_steps<float>(s.law.dt, row.solver);
+}
+
+// Builds the rows of a coupled island, and starts from the impulses of the step before. `all`: also
+// completes the data of contacts that may not push.
+inline void start_joined(const GroupStep& s, int32_t root, bool all) {
   const ContactGroupArguments& a = s.a;
   const IslandNode& node = a.nodes[root];
   articulation::IslandContact* const rows = rows_of(s, root);
   const int32_t* const places = s.places(root);
-  const auto contacts = [&](bool back, const auto& f) {
-    for (int32_t k = 0; k < node.rows; ++k) f(rows[back ? node.rows - 1 - k : k]);
-  };
-  const auto tree_of = [&](int32_t i) { return s.tree(i); };
-  const auto complete = [&](articulation::IslandContact& row) {
-    articulation::build_responses(s.contacts, tree_of, row);
-    articulation::set_steps<float>(s.law.dt, row.solver);
-  };
+  auto* numbers = reinterpret_cast<float*>(rows + node.rows);
+  for (int32_t n = 0; n < node.rows; ++n) {
+    articulation::IslandContact& row = rows[n];
+    row = articulation::IslandContact{};
+    place_row(s, a.contacts[places[n]], numbers, row);
+    articulation::build_jacobian(
+        s.contacts, [&](int32_t i) { return s.tree(i); }, row);
+    articulation::aim(s.law, s.material(row.contact), row);
+    if (all || s.is_kept(places[n]) || s.all.notes != nullptr) complete_row(s, row);
+  }
+  for (int32_t i = root; i >= 0; i = a.nodes[i].next) build_dry(s, i);
+  for (int32_t n = 0; n < node.rows; ++n)
+    if (s.is_kept(places[n]))
+      articulation::start_from_kept(s.kept(places[n]), s.warm_scale, s.law.cone, rows[n]);
+  for_friction(s, root, [&](articulation::PgsJointFriction<float>& f, int32_t row) {
+    if (s.all.warm_start.value != 0)
+      articulation::warm_start(f, s.warm_scale * s.all.kept_friction[row]);
+  });
+}
+
+// Solves any island. `swept`: the result of sweep_rates after start_joined; null: not called yet.
+inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root,
+                                               const articulation::IslandResult* swept) {
+  const ContactGroupArguments& a = s.a;
+  const IslandNode& node = a.nodes[root];
+  articulation::IslandContact* const rows = rows_of(s, root);
+  const auto contacts = [&](bool back, const auto& f) { for_rows(s, root, back, f); };
+  const auto complete = [&](articulation::IslandContact& row) { complete_row(s, row); };
   const auto friction = [&](const auto& f) {
     for_friction(s, root, [&](articulation::PgsJointFriction<float>& dry, int32_t) { f(dry); });
   };
   articulation::IslandResult result;
   bool renewed = true;
   for (int32_t round = 0; renewed; ++round) {
-    auto* numbers = reinterpret_cast<float*>(rows + node.rows);
-    for (int32_t n = 0; n < node.rows; ++n) {
-      articulation::IslandContact& row = rows[n];
-      row = articulation::IslandContact{};
-      place_row(s, a.contacts[places[n]], numbers, row);
-      articulation::build_jacobian(s.contacts, tree_of, row);
-      articulation::aim(s.law, s.material(row.contact), row);
-      if (s.is_kept(places[n]) || s.all.notes != nullptr) complete(row);
+    if (round == 0 && swept != nullptr) {
+      result = *swept;
+    } else {
+      start_joined(s, root, false);
+      result = articulation::sweep_rates(s.law.cone, static_cast<int32_t>(s.all.most_sweeps.value),
+                                         s.all.tolerance.value, contacts, friction, complete);
     }
-    for (int32_t i = root; i >= 0; i = a.nodes[i].next) build_dry(s, i);
-    for (int32_t n = 0; n < node.rows; ++n)
-      if (s.is_kept(places[n]))
-        articulation::start_from_kept(s.kept(places[n]), s.warm_scale, s.law.cone, rows[n]);
-    for_friction(s, root, [&](articulation::PgsJointFriction<float>& f, int32_t row) {
-      if (s.all.warm_start.value != 0)
-        articulation::warm_start(f, s.warm_scale * s.all.kept_friction[row]);
-    });
-    result = articulation::sweep_island(s.law.cone, static_cast<int32_t>(s.all.most_sweeps.value),
-                                        s.all.tolerance.value, contacts, friction, complete);
+    articulation::finish_sweeps(contacts, friction, complete, result);
     renewed = false;
     for (int32_t i = root; i >= 0; i = a.nodes[i].next)
       renewed =
@@ -320,7 +344,7 @@ inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root)
     }
   }
   for (int32_t n = 0; n < node.rows; ++n)
-    take_contact(s, places[n], rows[n].frame, rows[n].solver.impulse);
+    take_contact(s, s.places(root)[n], rows[n].frame, rows[n].solver.impulse);
   for_friction(s, root, [&](const articulation::PgsJointFriction<float>& f, int32_t row) {
     if (s.all.friction_impulses != nullptr) s.all.friction_impulses[row] = f.impulse;
     s.all.now_friction[row] = f.impulse;
@@ -328,8 +352,9 @@ inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root)
   return result;
 }
 
-// Solves an island. If a tree fails, the whole island fails.
-inline void solve_island(const GroupStep& s, int32_t root) {
+// Solves an island. If a tree fails, the whole island fails. `swept`: as in solve_joined.
+inline void solve_island(const GroupStep& s, int32_t root,
+                         const articulation::IslandResult* swept = nullptr) {
   const ContactGroupArguments& a = s.a;
   int32_t* const all_status = s.all.step.status;
   IslandNode& node = a.nodes[root];
@@ -342,7 +367,7 @@ inline void solve_island(const GroupStep& s, int32_t root) {
       s.all.force[a.contacts[s.places(root)[n]]] = Vec3f{nan, nan, nan};
     node.failed = 1;
   } else if (node.joined != 0) {
-    node.result = solve_joined(s, root);
+    node.result = solve_joined(s, root, swept);
     for (int32_t n = 0; s.all.notes != nullptr && n < node.rows; ++n)
       rows_of(s, root)[n].turns = s.turns(rows_of(s, root)[n]);
   } else if (node.rows > 0) {
@@ -364,37 +389,6 @@ inline void finish_tree(const GroupStep& s, int32_t i) {
   if (status != 0) return write_failure(s.all.step, rows);
   of.ws.shift = of.rates + articulation::padded_dofs(rows.dof_count);
   write_step(s.all.step, rows, of.tree, s.in, s.how, of.ws);
-}
-
-inline void note_island(const GroupStep& s, int32_t root, articulation::BranchNotes& notes) {
-  const IslandNode& node = s.a.nodes[root];
-  if (node.failed != 0) notes.all.jumps = 1;
-  if (node.failed != 0 || node.joined == 0) return;
-  const articulation::IslandContact* const rows = rows_of(s, root);
-  for (int32_t n = 0; n < node.rows; ++n) {
-    articulation::note_contact(s.contacts, s.law, s.all.by_restitution.value != 0, rows[n], notes);
-    s.all.seen[s.places(root)[n]] = articulation::seen_contact(s.contacts, rows[n], s.law.cone);
-  }
-  for_friction(s, root, [&](const articulation::PgsJointFriction<float>& f, int32_t) {
-    articulation::note_friction(f, notes);
-  });
-  const articulation::IslandResult& of = node.result;
-  if (articulation::far_from_converged(of.residual, of.largest, s.all.tolerance.value))
-    notes.far = 1;
-  articulation::raise(notes.all.residual, articulation::relative_residual(of.residual, of.largest,
-                                                                          s.all.tolerance.value));
-}
-inline void note_group(const GroupStep& s) {
-  articulation::BranchNotes notes;
-  const int32_t* const trees = s.a.trees;
-  for (int32_t k = s.first_tree(); k < s.end_tree(); ++k)
-    if (s.root(trees[k]) == trees[k]) note_island(s, trees[k], notes);
-  if (s.all.continues.value != 0) {
-    const int32_t begin = s.all.seen_begin[s.group];
-    note_events(s.all.seen_before + begin, s.all.seen_begin[s.group + 1] - begin,
-                s.all.seen + s.first_place(), s.end_place() - s.first_place(), notes.all);
-  }
-  s.all.notes[s.group] = notes;
 }
 
 }  // namespace novaphy

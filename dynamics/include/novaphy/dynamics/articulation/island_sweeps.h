@@ -29,19 +29,25 @@ void sweep_shifts(const ForRows& for_rows, const Whole& whole) {
   }
 }
 
-// Solves the contacts and the dry friction of an island by sweeps. for_contacts(back, f) calls f
-// for each contact, in reverse order if `back`. for_friction(f) calls f for each joint with dry
-// friction. complete(row) computes Y and the divisors of a contact.
-template <class ForContacts, class ForFriction, class Complete>
-IslandResult sweep_island(bool cone, int32_t most_sweeps, float tolerance,
-                          const ForContacts& for_contacts, const ForFriction& for_friction,
-                          const Complete& complete) {
-  IslandResult result;
-  const auto whole = [&](IslandContact& row, float speed) {
+// Returns sweep_shifts' `whole` for a function that completes the data of a contact.
+template <class Complete>
+auto completes_pushing(const Complete& complete) {
+  return [&complete](IslandContact& row, float speed) {
     if (!(speed < 0.0f)) return false;
     complete(row);
     return true;
   };
+}
+
+// Sweeps over the rates of an island, with the contacts and the dry friction of its joints.
+// for_contacts(back, f) calls f for each contact, and for_friction(f) for each joint with dry
+// friction. complete(row) completes the data of a contact.
+template <class ForContacts, class ForFriction, class Complete>
+IslandResult sweep_rates(bool cone, int32_t most_sweeps, float tolerance,
+                         const ForContacts& for_contacts, const ForFriction& for_friction,
+                         const Complete& complete) {
+  IslandResult result;
+  const auto whole = completes_pushing(complete);
   do {
     float worst = 0.0f;
     const auto note = [&](float moved) { worst = worst < moved ? moved : worst; };
@@ -56,6 +62,13 @@ IslandResult sweep_island(bool cone, int32_t most_sweeps, float tolerance,
         if (row.whole) set_rubbing_step(row.solver);
       });
   } while (result.sweeps < most_sweeps && !(result.residual < tolerance));
+  return result;
+}
+
+// Finds the largest impulse and the shifts of an island, after sweep_rates.
+template <class ForContacts, class ForFriction, class Complete>
+void finish_sweeps(const ForContacts& for_contacts, const ForFriction& for_friction,
+                   const Complete& complete, IslandResult& result) {
   const auto note = [&](float size) {
     result.largest = result.largest < size ? size : result.largest;
   };
@@ -63,8 +76,7 @@ IslandResult sweep_island(bool cone, int32_t most_sweeps, float tolerance,
                [&](const IslandContact& row) { note(row.solver.normal * row.solver.impulse[0]); });
   for_friction(
       [&](const PgsJointFriction<float>& f) { note(math::abs(f.response[f.dof] * f.impulse)); });
-  sweep_shifts([&](const auto& f) { for_contacts(false, f); }, whole);
-  return result;
+  sweep_shifts([&](const auto& f) { for_contacts(false, f); }, completes_pushing(complete));
 }
 
 }  // namespace novaphy::articulation

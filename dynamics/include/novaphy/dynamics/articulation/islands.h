@@ -290,8 +290,7 @@ inline void add_impulses(const PgsContact<float>& c, const float* rates, int32_t
     for (int32_t r = 0; s.width > 0 && s.rates == rates && r < 3; ++r)
       for (int32_t k = 0; k < dofs; ++k) to[k] += s.jacobian[r * s.width + k] * c.impulse[r];
 }
-// Computes the accelerations of a tree after sweep_island, and calls renew_branches. Returns its
-// result.
+// Computes the accelerations of a tree after finish_sweeps, and calls renew_branches.
 template <class ForContacts, class ForFriction>
 bool renew_tree(const IslandTree& of, const StepInputs<float>& in, const StepOptions<float>& how,
                 int32_t round, const ForContacts& for_contacts, const ForFriction& for_friction) {

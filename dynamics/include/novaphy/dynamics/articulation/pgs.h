@@ -304,7 +304,7 @@ T sweep_contact(PgsNumbers<T>& c, bool cone, const Active& active, const Slip& s
     const T change = select(active, impulse - c.impulse[row], o);
     if (all(change == o)) return;
     const T size = select(change < o, -change, change);
-    c.impulse[row] = select(active, impulse, c.impulse[row]);
+    c.impulse[row] = select(change == o, c.impulse[row], impulse);
     push_row(row, change);
     const T moved = diagonal * size;
     worst = select(moved > worst, moved, worst);

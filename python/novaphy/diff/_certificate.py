@@ -164,8 +164,7 @@ def certify(
             None if code is None else code.slopes(np.zeros((1, losses_of.parameters.size))),
             directions,
             *_differences(losses_of, directions),
-            *_samples(losses_of, worlds, seed),
-            _events(losses_of, at, directions),
+            *_samples(losses_of, worlds, seed, at, directions),
         )
     return _certificate(found, (perf_counter() - began) / seconds, seconds)
 
@@ -253,10 +252,28 @@ def _differences(losses_of: Losses, directions: Numbers) -> tuple[Numbers, Numbe
     return (losses[:, :, 0] - losses[:, :, 1]) / length, noise
 
 
-def _samples(losses_of: Losses, worlds: int, seed: int) -> tuple[Slopes, Numbers]:
-    """Return losses and gradients of antithetic samples theta + PART sigma w, and the w."""
+def _samples(
+    losses_of: Losses, worlds: int, seed: int, at: Slopes, directions: Numbers
+) -> tuple[Slopes, Numbers, Trust | None]:
+    """Return losses and gradients of antithetic samples at a part of sigma, the samples, and how
+    far the events hold. The latter is None where the solver lists no events.
+
+    One call of f takes the samples, and the moves that show how events change.
+    """
     w = draw(worlds, losses_of.parameters.size, seed, True)
-    return losses_of.slopes(PART * w), w
+    if at.info is None or not at.info.event_list:
+        return losses_of.slopes(PART * w), w, None
+    signs = np.array([1.0, -1.0])[:, None]
+    moves = (EVENT_STEP * signs * directions[:, None, :]).reshape(-1, directions.shape[1])
+    try:
+        losses, gradients, info = losses_of.slopes(np.concatenate([PART * w, moves]))
+    except Error as error:  # such as contacts that have not converged
+        return losses_of.slopes(PART * w), w, Trust([], None, f"unknown: {error}", None)
+    rows = by_world(info.event_list if info is not None else [], worlds + len(moves))[worlds:]
+    slope = at.gradients[0]
+    downhill = -(directions @ slope) / max(float(np.linalg.norm(slope)), 1e-300)
+    events = trust(at.info.event_list, rows, EVENT_STEP, downhill)
+    return Slopes(losses[:worlds], gradients[:worlds], info), w, events
 
 
 def _smooth_slope(losses: Numbers, w: Numbers, gradient: Numbers) -> tuple[Numbers, Numbers]:
@@ -275,19 +292,3 @@ def _smooth_slope(losses: Numbers, w: Numbers, gradient: Numbers) -> tuple[Numbe
     slope = np.asarray(np.linalg.lstsq(w, rises, rcond=None)[0], np.float64)
     variance = ((rises - w @ slope) ** 2).sum() / (pairs - n)
     return slope, np.sqrt(variance * np.diag(np.linalg.inv(w.T @ w)))
-
-
-def _events(losses_of: Losses, at: Slopes, directions: Numbers) -> Trust | None:
-    """Return how far the parameters may move until events change; None: no list of events."""
-    if at.info is None or not at.info.event_list:
-        return None
-    signs = np.array([1.0, -1.0])[:, None]
-    moves = (EVENT_STEP * signs * directions[:, None, :]).reshape(-1, directions.shape[1])
-    try:
-        moved = losses_of.slopes(moves).info
-    except Error as error:  # for example, the contact solver has not converged
-        return Trust([], None, f"unknown: {error}", None)
-    rows = by_world(moved.event_list if moved is not None else [], len(moves))
-    slope = at.gradients[0]
-    downhill = -(directions @ slope) / max(float(np.linalg.norm(slope)), 1e-300)
-    return trust(at.info.event_list, rows, EVENT_STEP, downhill)

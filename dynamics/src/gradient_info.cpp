@@ -23,12 +23,19 @@ std::string some(int64_t count, int64_t of) {
 constexpr double kApart = 3.0;
 
 bool are_apart(const MotionCounts& m) { return m.of_springs || m.least_separation >= kApart; }
-int64_t cut_landings(const MotionCounts& m) {
-  return std::ranges::count_if(m.events, [](const auto& e) { return !e->whole; });
+// Returns the number of events that the end of the steps cuts, or (not with springs) that a small
+// move of the start puts behind the end.
+int64_t last_events(const MotionCounts& m) {
+  return std::ranges::count_if(m.events, [&](const auto& e) {
+    if (!e->whole || m.of_springs) return !e->whole;
+    const double at = static_cast<double>(e->step) + double{e->phase};
+    return e->chain == m.chain && static_cast<double>(m.chain_steps) - at < kApart;
+  });
 }
 bool is_of_the_motion(const MotionCounts& m) {
   return m.several == 0 && m.unmoved == 0 && m.one_sided == 0 && m.stiff == 0 && m.rough == 0 &&
-         m.phased == 0 && m.inexact == 0 && m.limits == 0 && are_apart(m) && cut_landings(m) == 0;
+         m.phased == 0 && m.searched == 0 && m.inexact == 0 && m.limits == 0 && are_apart(m) &&
+         last_events(m) == 0;
 }
 std::string motion_of_springs(const MotionCounts& m) {
   std::string text = " The times at which contacts begin and end move with the state.";
@@ -55,15 +62,21 @@ std::string doubts(const MotionCounts& m) {
             " limits of joints, in bodies that touch something, may have a gradient of any length.";
   if (m.several > 0)
     text += " In " + std::to_string(m.several) +
-            " steps several pairs hit at once. The gradient is then that of the motion only if "
-            "their impacts do not depend on each other.";
+            " steps several pairs hit at once, or several points of a pair. The gradient is then "
+            "that of the motion only if their impacts do not depend on each other.";
   if (m.phased > 0)
     text += " The friction of " + std::to_string(m.phased) +
             " landings turns. Their states depend on where in its step the contact begins.";
   if (m.several == 0 && !are_apart(m))
     text += " Two events of one tree are " + std::to_string(m.least_separation) +
             " steps apart, and may come in the other order.";
-  if (cut_landings(m) > 0) text += " A landing is cut by the end of the steps.";
+  if (m.searched > 0)
+    text += " In " + std::to_string(m.searched) +
+            " steps contacts hold whose normal a search finds. 1 / dt amplifies its error.";
+  if (last_events(m) > 0)
+    text += std::ranges::all_of(m.events, [](const auto& e) { return e->whole; })
+                ? " An event is within three steps of the end of the steps."
+                : " A landing is cut by the end of the steps.";
   if (m.inexact > 0) text += " Overlaps are those of the motion only with pgs_slop=0, pgs_erp=1.";
   return text;
 }
@@ -151,7 +164,8 @@ GradientInfo gradient_info(const GradientCounts& c, bool implicit, const MotionC
     info.ramp_steps = motion->ramp_steps;
     info.landings = motion->landings;
     info.phased = motion->phased;
-    info.one_sided += cut_landings(*motion);
+    info.searched = motion->searched;
+    info.one_sided += last_events(*motion);
     info.least_approach = motion->least_approach;
     info.least_separation = motion->least_separation;
     info.event_list = motion->events;
@@ -177,6 +191,7 @@ GradientInfo worst_of(std::span<const GradientInfo> all) {
   GradientInfo sum = *std::ranges::max_element(all, {}, rank);
   sum.steps = sum.exact_steps = sum.frozen_steps = sum.surrogate_steps = 0;
   sum.several = sum.one_sided = sum.ramp_steps = sum.landings = sum.phased = sum.lost_events = 0;
+  sum.searched = 0;
   sum.h_skipped = 0;
   sum.event_list.clear();
   sum.events = sum.began = sum.ended = sum.turned = 0;
@@ -194,6 +209,7 @@ GradientInfo worst_of(std::span<const GradientInfo> all) {
     sum.ramp_steps += of.ramp_steps;
     sum.landings += of.landings;
     sum.phased += of.phased;
+    sum.searched += of.searched;
     sum.lost_events += of.lost_events;
     sum.least_approach = std::min(sum.least_approach, of.least_approach);
     sum.least_separation = std::min(sum.least_separation, of.least_separation);

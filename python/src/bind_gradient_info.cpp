@@ -33,8 +33,9 @@ GradientInfoFields to_fields(const GradientInfo& i, const py::dict& more) {
       "surrogate_steps"_a = i.surrogate_steps, "events"_a = i.events, "began"_a = i.began,
       "ended"_a = i.ended, "turned"_a = i.turned, "several"_a = i.several,
       "one_sided"_a = i.one_sided, "ramp_steps"_a = i.ramp_steps, "landings"_a = i.landings,
-      "phased"_a = i.phased, "lost_events"_a = i.lost_events, "least_approach"_a = i.least_approach,
-      "least_separation"_a = i.least_separation, "steps_per_contact"_a = i.steps_per_contact,
+      "phased"_a = i.phased, "searched"_a = i.searched, "lost_events"_a = i.lost_events,
+      "least_approach"_a = i.least_approach, "least_separation"_a = i.least_separation,
+      "steps_per_contact"_a = i.steps_per_contact,
       "event_list"_a = rows_of(i.event_list), "residual"_a = i.residual,
       "h_drift"_a = there(i.h_drift),
       "h_step"_a = i.h_drift == i.h_drift ? py::object(py::int_(i.h_step)) : py::none(),
@@ -73,12 +74,14 @@ constexpr std::pair<const char*, const char*> kFields[] = {
     {"ended", "The number of contacts that ceased to push from one step to the next."},
     {"turned", "The number of contacts that changed between sticking and slipping."},
     {"several",
-     "With contact_gradient=\"motion\": the number of steps in which several pairs begin a contact "
-     "at once. For penalty contacts: the number of short contacts that overlap in time."},
+     "With contact_gradient=\"motion\": the number of steps in which several pairs, or several "
+     "points of a pair, hit at once. With springs: the number of short touches of several "
+     "contacts at once."},
     {"one_sided",
-     "With contact_gradient=\"motion\" and penalty contacts: the number of short contacts whose "
-     "begin "
-     "or end is unknown. Causes: the steps begin or end there, or a state or dt was changed."},
+     "With contact_gradient=\"motion\": the number of events that the end of the steps cuts, and "
+     "of those of articulations within three steps of it. With springs: the number of short "
+     "touches whose begin or end is outside of the steps, or that a written state or another dt "
+     "cuts."},
     {"ramp_steps",
      "With contact_gradient=\"motion\" and penalty contacts: the number of steps in which a "
      "contact is at most half a step from its begin or end."},
@@ -86,9 +89,12 @@ constexpr std::pair<const char*, const char*> kFields[] = {
      "With contact_gradient=\"motion\": the number of contacts of articulations that begin without "
      "a bounce."},
     {"phased",
-     "The number of landings in which the friction force changes direction. The states after such "
-     "a landing depend on the time within a step at which the contact begins."},
-    {"lost_events", "The number of events that a device could not store; 0 on the CPU."},
+     "The number of landings whose friction turns. The states after such a landing depend on the "
+     "time in its step at which the contact begins."},
+    {"searched",
+     "With contact_gradient=\"motion\": the number of steps in which contacts of curved shapes "
+     "land or hold. Their normal comes from a search, with an error that 1 / dt amplifies."},
+    {"lost_events", "The number of events for which a device had no room; 0 on the CPU."},
     {"least_approach",
      "The smallest approach speed of the events in event_list (m/s, rad/s); inf without an event."},
     {"least_separation",

@@ -127,6 +127,7 @@ void add_groups(const GroupStep& s, int32_t root, const std::vector<char>& hits,
               of.response[r * of.width + k] * row.solver.impulse[r];
       }
     }
+    ++to.points;
     to.impulse += row.solver.impulse[0];
     to.gap += row.solver.impulse[0] * row.place.gap;
     if (row.solver.friction > 0.0f && to.friction != MotionFriction::Slides)

@@ -28,6 +28,7 @@ struct ContactEvent {
     int32_t dof = -1;                  // of a limit; its impulse counts as 1, and `push` is empty
     float side = 1.0f;                 // sign of the limit's gap in q: -1 for an upper limit
     bool is_cut = false;               // the bounce ends at the other limit in the same step
+    int32_t points = 0;                // number of rows
     MotionFriction friction = MotionFriction::None;
     bool lands = false;
     std::shared_ptr<MotionEvent> told = {};
@@ -43,10 +44,11 @@ struct ContactEvent {
   // Returns whether several pairs hit at once and none of them lands. Each pair then has its own
   // delay.
   bool is_apart() const { return groups.size() > 1 && !lands && !has_limit(); }
-  // Returns whether the result depends on the order of the event's pairs and limits.
+  // Whether the result depends on the order of the event's pairs, points and limits.
   bool has_several() const {
     return is_apart() || (groups.size() > 1 && has_limit()) ||
-           std::any_of(groups.begin(), groups.end(), [](const Group& g) { return g.is_cut; });
+           std::any_of(groups.begin(), groups.end(),
+                       [](const Group& g) { return g.is_cut || g.points > 1; });
   }
 };
 // A contact that lands. slip: its tangential impulse divided by its normal impulse.

@@ -158,6 +158,7 @@ void note_motion(const std::shared_ptr<const Step>& step,
   }
   const std::vector<ContactEvent>& events = notes.found.events;
   if (std::ranges::any_of(events, &ContactEvent::has_several)) ++s.shared->motion.several;
+  if (holds_searched(s, in)) ++s.shared->motion.searched;
   if (notes.found.hits.empty() && notes.found.limits.empty()) {
     notes.smooth.resize(dofs);
     for (size_t k = 0; k < dofs; ++k) notes.smooth[k] = (qd_next[k] - in.arrays.qd[k]) / s.dt;

@@ -126,8 +126,10 @@ void tell_events(const ArticulationStep::Step& step, const ArticulationArguments
                  const ArticulationStep::Step* before);
 void tell_limit(const ArticulationStep::Step& step, int32_t tree, int32_t dof);
 void tell_mismatch(const ContactEvent& event, std::span<const double> h_before, double mismatch);
-// Copies of a step's limits in which some dofs have no limit; `in` refers to these copies. SIMD
-// lanes are off meanwhile, because lanes read the limits of the model.
+// Returns whether a contact of curved shapes, with a normal from a search, pushes without a bounce.
+bool holds_searched(const ArticulationStep::Step& step, const ArticulationArguments& in);
+// Memory for the limits of a step without those of some dofs, which `in` then reads. Trees do not
+// share lanes meanwhile: lanes read the limits of the model.
 struct LiftedLimits {
   LiftedLimits(const ArticulationStep::Step& step, std::span<const int32_t> dofs,
                ArticulationArguments& in);

@@ -142,6 +142,7 @@ class CountsOfStep {
     motion_.several = shared_.motion.several;
     motion_.unmoved = shared_.motion.unmoved;
     motion_.phased = shared_.motion.phased;
+    motion_.searched = shared_.motion.searched;
     motion_.moved = shared_.motion.moved;
     motion_.inexact = shared_.motion.inexact;
     free_steps_ = shared_.free_steps;
@@ -159,6 +160,9 @@ class CountsOfStep {
     witness_->motion.several += shared_.motion.several - motion_.several;
     witness_->motion.unmoved += shared_.motion.unmoved - motion_.unmoved;
     witness_->motion.phased += shared_.motion.phased - motion_.phased;
+    witness_->motion.searched += shared_.motion.searched - motion_.searched;
+    witness_->motion.chain = shared_.motion.chain;
+    witness_->motion.chain_steps = shared_.motion.chain_steps;
     witness_->motion.moved += shared_.motion.moved - motion_.moved;
     witness_->motion.inexact += shared_.motion.inexact - motion_.inexact;
     if (shared_.last_told != nullptr)
@@ -193,6 +197,8 @@ void note(ArticulationStep::Shared& shared, const std::shared_ptr<const Step>& s
   const bool exact = shared.options.pgs_slop == 0.0f && shared.options.pgs_erp == 1.0f;
   const bool touches = std::any_of(touched.begin(), touched.end(), [](char t) { return t != 0; });
   if (touches && !exact) ++shared.motion.inexact;
+  shared.motion.chain = step->motion->chain;
+  shared.motion.chain_steps = step->motion->number + 1;
   for (const auto& event : step->motion->told) shared.motion.add(event);
   shared.last_told = &step->motion->told;
   shared.last = step;

@@ -39,7 +39,8 @@ struct GradientInfo {
   int64_t events = 0, began = 0, ended = 0, turned = 0;
   // Members of MotionCounts with the same names.
   int64_t several = 0, one_sided = 0, ramp_steps = 0, landings = 0, phased = 0;
-  int64_t lost_events = 0;  // events that found no space in a device buffer
+  int64_t searched = 0;
+  int64_t lost_events = 0;  // events for which a device had no room
   float least_approach = std::numeric_limits<float>::infinity();
   double least_separation = std::numeric_limits<double>::infinity();
   // Duration of a touch of the stiffest penalty contact, in steps: pi / (dt w), with w as in
@@ -89,16 +90,20 @@ NOVAPHY_DYNAMICS_API void sort_by_time(MotionEvents& events);
 // Counts over steps for which DerivativeOf::Motion moves the times of events. "With springs" means
 // with penalty contacts.
 struct MotionCounts {
-  // Steps in which several pairs hit at once. With springs: touches of several points or pairs.
+  // Steps in which several pairs, or points of a pair, hit at once. With springs: touches of more
+  // than one point or pair.
   int64_t several = 0;
   // Joint limits that begin or end to push, in a tree that also has contacts. With springs: touches
   // of bodies or particles that are also subject to joints, elements or adhesion.
   int64_t unmoved = 0;
   // With springs: touches whose begin or end is not among the steps, or is cut by a written state.
   int64_t one_sided = 0;
-  int64_t landings = 0;    // impacts without a bounce, which take two steps
-  int64_t phased = 0;      // landings whose friction changes direction; results depend on the phase
-  int64_t stiff = 0;       // with springs: touches of few steps whose force rotates a body
+  int64_t landings = 0;    // events without a bounce, which take two steps
+  int64_t phased = 0;      // landings whose friction turns: the states depend on the phase
+  // Steps with a contact that holds or lands, between curved shapes. Its normal comes from a search
+  // with an error in each step, which 1 / dt amplifies.
+  int64_t searched = 0;
+  int64_t stiff = 0;       // with springs: touches of few steps whose force turns a body
   int64_t rough = 0;       // with springs: touches whose speed depends on the phase of the steps
   int64_t ramp_steps = 0;  // with springs: steps with contacts within half a step of begin or end
   int64_t moved = 0;       // steps whose gradient includes a term from moved times
@@ -108,6 +113,8 @@ struct MotionCounts {
   int64_t inexact = 0;
   float least_approach = std::numeric_limits<float>::infinity();      // m/s or rad/s
   double least_separation = std::numeric_limits<double>::infinity();  // steps, of one tree or body
+  // The chain of the last step, and the number of its steps.
+  int64_t chain = 0, chain_steps = 0;
   MotionEvents events = {};
   std::shared_ptr<AdjointDrift> drift = {};  // null: not measured
 

@@ -92,8 +92,8 @@ void DiffSemiImplicitSolver::note_step(const SimState& in, const SimState& from,
   step.contacts = notes_.handles(contacts);
   step.soft = particles;
   step.rigid = bodies;
-  step.soft_follow = tables.particles_follow();
-  step.rigid_follow = tables.of_this_state();
+  step.soft_contact_moves = tables.particles_move();
+  step.rigid_contact_moves = tables.of_this_state();
   step.kf_rate = kf_rate(config_.particle_kf_bound, dt);
   step.smoothing = friction_smoothing_;
   step.dt = dt;

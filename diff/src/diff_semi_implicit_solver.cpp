@@ -342,7 +342,7 @@ void DiffSemiImplicitSolver::record_step(const SimState& in, SimState& out,
     ContactTables::Wanted wanted = wanted_tables();
     // The search has just found the contacts in this state. Contacts of particles are frozen unless
     // particles touch bodies.
-    wanted.particles_follow = wanted.particles_on_bodies;
+    wanted.particles_move = wanted.particles_on_bodies;
     inputs.tables->rebuild(*model(), *inputs.contacts, wanted);
   }
   const ContactTables& tables = inputs.tables != nullptr ? *inputs.tables : tables_;

@@ -90,7 +90,7 @@ void GradientNotes::Looks::at_soft(const Model& m, const NotedStep& step) {
        .margin = step.slip > 0.0f ? &m.shape_margin : nullptr,
        .modes = soft_modes(m, step),
        .slip = step.slip,
-       .follows = step.soft_follow,
+       .follows = step.soft_contact_moves,
        .shapes = m.shape_count()});
 }
 
@@ -129,7 +129,7 @@ void GradientNotes::Looks::at_rigid(const Model& m, const NotedStep& step) {
   const auto rows = static_cast<int64_t>(c.rigid_contact_shape0.rows());
   if (rows == 0) return;
   rigid.reserve(rows, m.device());
-  const FollowedContacts of = {.shape0 = c.rigid_contact_shape0,
+  const MovingContacts of = {.shape0 = c.rigid_contact_shape0,
                                .shape1 = c.rigid_contact_shape1,
                                .point0 = c.rigid_contact_point0,
                                .point1 = c.rigid_contact_point1,
@@ -151,7 +151,7 @@ void GradientNotes::Looks::at_rigid(const Model& m, const NotedStep& step) {
        .row_kd = if_any(c.rigid_contact_damping),
        .row_mu = if_any(c.rigid_contact_friction),
        .modes = rigid_modes(m, step),
-       .follows = step.rigid_follow,
+       .follows = step.rigid_contact_moves,
        .shapes = m.shape_count()});
 }
 

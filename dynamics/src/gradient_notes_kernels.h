@@ -12,7 +12,7 @@
 
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/dynamics/articulation/gradient_counts.h"
-#include "novaphy/dynamics/semi_implicit/contact_follows_kernels.h"
+#include "novaphy/dynamics/semi_implicit/contact_moves_kernels.h"
 
 namespace novaphy {
 
@@ -144,7 +144,7 @@ inline RigidContactMaterial<float> mean_of(const RigidModes& m, int32_t a, int32
 }
 
 struct NoteRigidContactsArguments {
-  NOVAPHY_ARGUMENTS(Part<SeenRows> seen; Part<FollowedContacts> of; Reads<int32_t> point_id;
+  NOVAPHY_ARGUMENTS(Part<SeenRows> seen; Part<MovingContacts> of; Reads<int32_t> point_id;
                     Detached<Reads<float>> margin0, margin1;
                     Optional<Detached<Reads<float>>> row_ke, row_kd, row_mu; Part<RigidModes> modes;
                     Number<int64_t> follows, shapes;)
@@ -174,7 +174,7 @@ NOVAPHY_ROW_KERNEL(note_rigid_contacts, NoteRigidContactsArguments) {
   to.first = shapes[0];
   to.second = shapes[1];
   to.point = a.point_id[row];
-  to.held = a.follows != 0 && contact_follows(a.of, row) ? 0 : 1;
+  to.held = a.follows != 0 && contact_moves(a.of, row) ? 0 : 1;
   const auto own = [&](const float* rows) { return rows == nullptr ? 0.0f : rows[row]; };
   const RigidContactMaterial<float> of = rigid_contact_material_of_row(
       mean_of(a.modes, shapes[0], shapes[1]), own(a.row_ke), own(a.row_kd), own(a.row_mu));

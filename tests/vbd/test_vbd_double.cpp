@@ -61,7 +61,8 @@ class DoubleStep {
     start = q;
     target = q;
     for (size_t p = 0; p < q.size(); ++p)
-      if (!is_held(p)) target[p] = q[p] + (qd[p] + point(m.gravity.data()[0]) * Dual(h)) * Dual(h);
+      if (!is_kinematic(p))
+        target[p] = q[p] + (qd[p] + point(m.gravity.data()[0]) * Dual(h)) * Dual(h);
     x = target;
     for (int k = 0; k < iterations; ++k)
       for (const std::vector<int32_t>& group : scene.groups()) {
@@ -69,7 +70,7 @@ class DoubleStep {
         std::vector<Point> after = x;
         for (const int32_t i : group) {
           const auto p = static_cast<size_t>(i);
-          if (is_held(p)) continue;
+          if (is_kinematic(p)) continue;
           const Block<Dual> block = block_at(p);
           after[p] = x[p] + solve_block(factorize(block, Dual(1e-6)), block.f);
         }
@@ -78,7 +79,7 @@ class DoubleStep {
     for (size_t p = 0; p < q.size(); ++p) qd[p] = (x[p] - start[p]) / Dual(h);
     q = x;
   }
-  bool is_held(size_t p) const { return !(m.particle_inv_mass.data()[p] > 0.0f); }
+  bool is_kinematic(size_t p) const { return !(m.particle_inv_mass.data()[p] > 0.0f); }
 
  private:
   // Adds the block of an element for one corner; `others`: in the order of its slot.

@@ -38,7 +38,7 @@ Bodies::Bodies(const Model& m, const VbdOptions& o) : model_(m), options_(o) {
   joint_count_ = static_cast<size_t>(m.joint_count());
   body_.resize(bodies);
   motion_.resize(bodies);
-  is_held_ = DeviceArray<int32_t>(bodies, m.device());
+  is_kinematic_ = DeviceArray<int32_t>(bodies, m.device());
   memory_ = DeviceArray<Vec4f>(contacts_at(), m.device());
   graph_.build(m.body_count(), {}, {}, 0);
 }
@@ -136,9 +136,9 @@ void Bodies::solve(const SimState& in, const Control* control, const Contacts* c
   dt_ = dt;
   check_model(control);
   check_step(in, contacts);
-  int32_t* const is_held = is_held_.mutable_data();
+  int32_t* const is_kinematic = is_kinematic_.mutable_data();
   for (int32_t b = 0; b < m.body_count(); ++b)
-    is_held[b] = int{has_flag(m.body_flags.data()[b], BodyFlags::KINEMATIC)};
+    is_kinematic[b] = int{has_flag(m.body_flags.data()[b], BodyFlags::KINEMATIC)};
   run(kernel_of(vbd_body_predict), m.body_count(),
       {.q = in.body_q,
        .qd = in.body_qd,
@@ -147,7 +147,7 @@ void Bodies::solve(const SimState& in, const Control* control, const Contacts* c
        .mass = m.body_mass,
        .inv_mass = m.body_inv_mass,
        .inertia = m.body_inertia,
-       .is_held = is_held_,
+       .is_kinematic = is_kinematic_,
        .world = m.body_world,
        .gravity = m.gravity,
        .last_world = m.world_count() - 1,
@@ -183,7 +183,7 @@ void Bodies::finish(const SimState& in, const SimState& out, const Contacts* con
       {.q = in.body_q,
        .qd = in.body_qd,
        .com = m.body_com,
-       .is_held = is_held_,
+       .is_kinematic = is_kinematic_,
        .motion = direct(motion_),
        .h = dt_,
        .q_out = out.body_q,

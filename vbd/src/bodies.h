@@ -154,7 +154,7 @@ class Bodies {
   float dt_ = 0.0f;
   size_t particle_rows_ = 0, body_rows_ = 0, joint_count_ = 0, contact_rows_ = 0;
   DeviceArray<Vec4f> memory_;
-  DeviceArray<int32_t> is_held_;
+  DeviceArray<int32_t> is_kinematic_;
   std::vector<VbdBody> body_;
   std::vector<VbdBodyMotion> motion_;
   std::vector<VbdBodyContact> contact_;

@@ -33,7 +33,7 @@ void Bodies::put_contacts(const SimState& in, const Contacts& contacts) {
     for (size_t k = 0; k < contact_.size(); ++k) {
       const VbdBodyContact& c = contact_[k];
       const auto moving = [&](int side) {
-        return c.body[side] < 0 || is_held_.data()[c.body[side]] != 0 ? -1 : c.body[side];
+        return c.body[side] < 0 || is_kinematic_.data()[c.body[side]] != 0 ? -1 : c.body[side];
       };
       const float depth = contact_depth(c, motion_of(motion_.data(), c.body[0]),
                                         motion_of(motion_.data(), c.body[1]));
@@ -56,8 +56,8 @@ void Bodies::put_contact(const SimState& in, const Contacts& contacts, size_t sl
             m.shape_count() - 1, ", got ", shapes[k]);
     c.body[k] = m.shape_body.data()[shapes[k]];
   }
-  const BodySide sides[2] = {{m, in, is_held_.data(), c.body[0]},
-                             {m, in, is_held_.data(), c.body[1]}};
+  const BodySide sides[2] = {{m, in, is_kinematic_.data(), c.body[0]},
+                             {m, in, is_kinematic_.data(), c.body[1]}};
   const auto of_pair = [&](const DeviceArray<float>& of_rows, const DeviceArray<float>& of_shapes) {
     const float own = of_rows.rows() == 0 ? 0.0f : of_rows.data()[slot];
     const float mean = 0.5f * (of_shapes.data()[shapes[0]] + of_shapes.data()[shapes[1]]);

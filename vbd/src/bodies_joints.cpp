@@ -57,7 +57,8 @@ void Bodies::put_joints(const SimState& in, const Control* control) {
     j.body[0] = m.joint_parent.data()[k];
     j.body[1] = m.joint_child.data()[k];
     j.kind = kind_of(type);
-    const BodySide a(m, in, is_held_.data(), j.body[0]), b(m, in, is_held_.data(), j.body[1]);
+    const BodySide a(m, in, is_kinematic_.data(), j.body[0]),
+        b(m, in, is_kinematic_.data(), j.body[1]);
     if (!a.moves && !b.moves) continue;
     const Transformf frames[2] = {math::multiply(a.pose, m.joint_X_p.data()[k]),
                                   math::multiply(b.pose, m.joint_X_c.data()[k])};

@@ -20,7 +20,7 @@ namespace novaphy {
 struct VbdBodyPredictArguments {
   NOVAPHY_ARGUMENTS(ReadsRow<Transformf> q; ReadsRow<SpatialVectorf> qd, f; ReadsRow<Vec3f> com;
                     ReadsRow<float> mass, inv_mass; ReadsRow<Mat33f> inertia;
-                    ReadsRow<int32_t> is_held, world; Reads<Vec3f> gravity;
+                    ReadsRow<int32_t> is_kinematic, world; Reads<Vec3f> gravity;
                     Number<int64_t> last_world; Number<float> h;
                     Number<int64_t> guess;  // VbdInitialGuess
                     // The velocity at the start of the previous step, and the number 1 (0: no
@@ -37,7 +37,7 @@ NOVAPHY_ROW_KERNEL(vbd_body_predict, VbdBodyPredictArguments) {
   const SpatialVectorf qd = a.qd[row], f = a.f[row];
   VbdBody body;
   VbdBodyMotion motion;
-  if (a.is_held[row] != 0) {
+  if (a.is_kinematic[row] != 0) {
     body.target = motion.moved = qd.linear * h;
     body.target_turned = motion.turned = vbd::exp_rotation(qd.angular * h);
     motion.turn = qd.angular * h;
@@ -265,7 +265,7 @@ NOVAPHY_ROW_KERNEL(vbd_body_update, VbdBodyUpdateArguments) {
 
 struct VbdBodyFinishArguments {
   NOVAPHY_ARGUMENTS(ReadsRow<Transformf> q; ReadsRow<SpatialVectorf> qd; ReadsRow<Vec3f> com;
-                    ReadsRow<int32_t> is_held; ReadsRow<VbdBodyMotion> motion; Number<float> h;
+                    ReadsRow<int32_t> is_kinematic; ReadsRow<VbdBodyMotion> motion; Number<float> h;
                     WritesRow<Transformf> q_out; WritesRow<SpatialVectorf> qd_out;
                     Optional<WritesRow<Vec4f>> last_velocity;)
 };
@@ -281,7 +281,8 @@ NOVAPHY_ROW_KERNEL(vbd_body_finish, VbdBodyFinishArguments) {
     a.last_velocity[row] = {v.x, v.y, v.z, 1.0f};
   }
   const float by_h = 1.0f / a.h.value;
-  a.qd_out[row] = a.is_held[row] != 0 ? a.qd[row] : SpatialVectorf{m.moved * by_h, m.turn * by_h};
+  a.qd_out[row] =
+      a.is_kinematic[row] != 0 ? a.qd[row] : SpatialVectorf{m.moved * by_h, m.turn * by_h};
 }
 
 }  // namespace novaphy

@@ -12,11 +12,11 @@ constexpr float kRecall = 0.999f;  // factor of the previous step's multipliers
 
 // A body of a row. The world and kinematic bodies have the inverse mass and inertia 0.
 struct BodySide {
-  BodySide(const Model& m, const SimState& in, const int32_t* held, int32_t body) {
+  BodySide(const Model& m, const SimState& in, const int32_t* kinematic, int32_t body) {
     if (body < 0) return;
     pose = in.body_q.data()[body];
     center = math::transform_point(pose, m.body_com.data()[body]);
-    if (held[body] != 0) return;
+    if (kinematic[body] != 0) return;
     moves = true;
     inv_mass = m.body_inv_mass.data()[body];
     inv_inertia = m.body_inv_inertia.data()[body];

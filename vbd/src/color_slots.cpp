@@ -69,21 +69,21 @@ void check_control(const Model& model) {
 
 }  // namespace
 
-void ColorSlots::find_held(const Model& model) {
+void ColorSlots::find_kinematic(const Model& model) {
   const int32_t* flags = model.particle_flags.data();
   const float* inv_mass = model.particle_inv_mass.data();
-  is_held_.assign(static_cast<size_t>(model.particle_count()), 0);
-  held_.clear();
+  is_kinematic_.assign(static_cast<size_t>(model.particle_count()), 0);
+  kinematic_.clear();
   for (int32_t p = 0; p < model.particle_count(); ++p) {
     if (has_flag(flags[p], ParticleFlags::ACTIVE) && inv_mass[p] > 0.0f) continue;
-    is_held_[static_cast<size_t>(p)] = 1;
-    held_.push_back(p);
+    is_kinematic_[static_cast<size_t>(p)] = 1;
+    kinematic_.push_back(p);
   }
 }
 
 // Joins the particles of each element that move, and marks the components without kinematic ones.
 void ColorSlots::find_components(const Model& model) {
-  component_.resize(is_held_.size());
+  component_.resize(is_kinematic_.size());
   std::iota(component_.begin(), component_.end(), 0);
   const auto root = [this](int32_t p) {
     const auto up = [this](int32_t of) -> int32_t& { return component_[static_cast<size_t>(of)]; };
@@ -94,7 +94,7 @@ void ColorSlots::find_components(const Model& model) {
   visit_elements(model, [&](auto is, int32_t, const int32_t* corners) {
     for (int c = 0; c < decltype(is)::Slot::kCorners; ++c)
       for (int d = 0; d < c; ++d) {
-        if (is_held(corners[c]) || is_held(corners[d])) {
+        if (is_kinematic(corners[c]) || is_kinematic(corners[d])) {
           for (const int32_t p : {corners[c], corners[d]}) is_tied[static_cast<size_t>(p)] = true;
           continue;
         }
@@ -106,15 +106,15 @@ void ColorSlots::find_components(const Model& model) {
   is_free_.clear();
   for (int32_t p = 0; p < model.particle_count(); ++p) {
     const auto first = static_cast<size_t>(root(p)), at = static_cast<size_t>(p);
-    if (first == at && !is_held(p)) {
+    if (first == at && !is_kinematic(p)) {
       number[at] = component_count();
       is_free_.push_back(1);
     }
     component_[at] = static_cast<int32_t>(first);
   }
   for (size_t p = 0; p < number.size(); ++p) {
-    component_[p] = is_held_[p] != 0 ? -1 : number[static_cast<size_t>(component_[p])];
-    if (is_held_[p] == 0 && is_tied[p]) is_free_[static_cast<size_t>(component_[p])] = 0;
+    component_[p] = is_kinematic_[p] != 0 ? -1 : number[static_cast<size_t>(component_[p])];
+    if (is_kinematic_[p] == 0 && is_tied[p]) is_free_[static_cast<size_t>(component_[p])] = 0;
   }
 }
 
@@ -126,7 +126,7 @@ void ColorSlots::collect(const Model& model) {
     visit_elements(model, [&](auto is, int32_t e, const int32_t* corners) {
       using Element = typename decltype(is)::Slot;
       for (int c = 0; c < Element::kCorners; ++c)
-        if (!is_held(corners[c]))
+        if (!is_kinematic(corners[c]))
           take(is.role + Element::slot_of(model, e, c), static_cast<size_t>(corners[c]),
                Source{e, c});
     });
@@ -155,7 +155,7 @@ void ColorSlots::find_conflicts(const std::vector<int32_t>& colors, const Model&
     for (int c = 0; c < decltype(is)::Slot::kCorners; ++c)
       for (int d = 0; d < c; ++d)
         has_conflicts_ |=
-            corners[c] != corners[d] && !is_held(corners[c]) && !is_held(corners[d]) &&
+            corners[c] != corners[d] && !is_kinematic(corners[c]) && !is_kinematic(corners[d]) &&
             colors[static_cast<size_t>(corners[c])] == colors[static_cast<size_t>(corners[d])];
   });
 }
@@ -165,7 +165,7 @@ void ColorSlots::find_conflicts(const std::vector<int32_t>& colors, const Model&
 void ColorSlots::make_groups(const std::vector<int32_t>& colors) {
   std::vector<std::vector<int32_t>> of_color;
   for (size_t p = 0; p < colors.size(); ++p) {
-    if (is_held_[p] != 0) continue;
+    if (is_kinematic_[p] != 0) continue;
     const auto color = static_cast<size_t>(colors[p]);
     if (color >= of_color.size()) of_color.resize(color + 1);
     of_color[color].push_back(static_cast<int32_t>(p));
@@ -241,7 +241,7 @@ void ColorSlots::build(const Model& model, int lanes) {
   for (size_t p = 0; p < colors.size(); ++p)
     require(colors[p] >= 0, ErrorKind::Value, "SolverVBD: model: particle ", p,
             " has no color; call ModelBuilder.color() (or set_coloring) before finalize");
-  find_held(model);
+  find_kinematic(model);
   find_conflicts(colors, model);
   find_components(model);
   collect(model);

@@ -33,9 +33,11 @@ class ColorSlots {
   // Computes the numbers of the slots for the step size dt (s) and for zero activation.
   void set_constants(const Model& model, float dt);
 
-  const std::vector<int32_t>& held() const { return held_; }
-  const std::vector<int32_t>& held_flags() const { return is_held_; }  // 1: kinematic
-  bool is_held(int32_t particle) const { return is_held_[static_cast<size_t>(particle)] != 0; }
+  const std::vector<int32_t>& kinematic() const { return kinematic_; }
+  const std::vector<int32_t>& kinematic_flags() const { return is_kinematic_; }  // 1: kinematic
+  bool is_kinematic(int32_t particle) const {
+    return is_kinematic_[static_cast<size_t>(particle)] != 0;
+  }
   // Returns the connected component of each particle, or -1 for a kinematic particle. Components
   // are numbered in the order of their first particles.
   const std::vector<int32_t>& components() const { return component_; }
@@ -63,7 +65,7 @@ class ColorSlots {
   const std::vector<float>& masses_by_h2() const { return mass_by_h2_; }
 
  private:
-  void find_held(const Model& model);
+  void find_kinematic(const Model& model);
   void find_components(const Model& model);
   void collect(const Model& model);
   void find_conflicts(const std::vector<int32_t>& colors, const Model& model);
@@ -72,8 +74,8 @@ class ColorSlots {
   void lay_slots(Table& table, const int32_t* corners, size_t elements);
 
   int lanes_ = 1;
-  std::vector<int32_t> is_held_;
-  std::vector<int32_t> held_, component_;
+  std::vector<int32_t> is_kinematic_;
+  std::vector<int32_t> kinematic_, component_;
   std::vector<char> is_free_;  // of components
   std::vector<int64_t> color_begin_, numbers_begin_;
   std::vector<int32_t> particle_, filled_;

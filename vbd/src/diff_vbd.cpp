@@ -222,9 +222,9 @@ void DiffSolverVBD::step(SimState& state_in, SimState& state_out, const Control*
   check_replays();
   const ExclusiveUse::Scope scope = use(RecordedStep::kName);
   check_step(RecordedStep::kName, state_in, state_out, control, contacts, dt);
-  const auto held = static_cast<size_t>(kinematic_count());
-  require(targets == nullptr || (targets->rows() == held && targets->device() == device()),
-          ErrorKind::Value, RecordedStep::kName, ": targets: expected {", held,
+  const auto kinematic = static_cast<size_t>(kinematic_count());
+  require(targets == nullptr || (targets->rows() == kinematic && targets->device() == device()),
+          ErrorKind::Value, RecordedStep::kName, ": targets: expected {", kinematic,
           ", 3}, a position for every kinematic particle, got ",
           targets == nullptr ? 0 : targets->rows(), " rows");
   begin();
@@ -233,7 +233,7 @@ void DiffSolverVBD::step(SimState& state_in, SimState& state_out, const Control*
   inputs.control = control;
   inputs.contacts = contacts;
   inputs.forces = nova::operand_of(state_in.particle_f);
-  if (targets != nullptr && held != 0) inputs.targets = nova::operand_of(*targets);
+  if (targets != nullptr && kinematic != 0) inputs.targets = nova::operand_of(*targets);
   inputs.dt = dt;
   record_step(state_in, state_out, inputs, {});
 }

@@ -88,7 +88,7 @@ SelfContact::SelfContact(const Model& m, const ColorSlots& slots, const VbdSelfC
   moves_freely_.assign(index(worlds_), 1);
   for (const int32_t p : vertices_) {
     if (is_apart) world_[index(p)] = world[index(p)];
-    if (slots.is_held(p)) moves_freely_[index(world_[index(p)])] = 0;
+    if (slots.is_kinematic(p)) moves_freely_[index(world_[index(p)])] = 0;
   }
   make_groups();
   color_.assign(n, -1);
@@ -170,7 +170,7 @@ void SelfContact::check_apart() const {
 }
 
 void SelfContact::end() {
-  for (const int32_t p : slots_.held())
+  for (const int32_t p : slots_.kinematic())
     require(is_cut_[index(p)] == 0, ErrorKind::Runtime, "SolverVBD.step: targets: particle ", p,
             " would cross a surface on its way; state_out was not written");
   ended_.assign(rows_.x.begin(), rows_.x.end());

@@ -156,7 +156,7 @@ void SelfContact::hold_particle(int32_t p) {
   }
   const Vec4f& start = rows_.start[i];
   rows_.x[i] = x;
-  if (!slots_.is_held(p)) rows_.moved[i] = {x.x - start.x, x.y - start.y, x.z - start.z, 0.0f};
+  if (!slots_.is_kinematic(p)) rows_.moved[i] = {x.x - start.x, x.y - start.y, x.z - start.z, 0.0f};
 }
 
 void SelfContact::hold(int64_t first_group, int64_t end_group) {
@@ -189,7 +189,7 @@ void SelfContact::detect_again() {
   place_again(is_due);
   for (const int32_t p : vertices_) {
     const size_t i = index(p);
-    const bool is_back = is_cut_[i] != 0 && slots_.is_held(p);
+    const bool is_back = is_cut_[i] != 0 && slots_.is_kinematic(p);
     is_cut_[i] = 0;
     if (!is_back) continue;
     rows_.x[i] = wish_[i];

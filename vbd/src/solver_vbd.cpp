@@ -158,9 +158,9 @@ void SolverVBD::step(SimState& state_in, SimState& state_out, const Control* con
   const Model& m = *model();
   Work& w = *work_;
   check_step(kName, state_in, state_out, control, contacts, dt);
-  const auto held = static_cast<size_t>(kinematic_count());
-  require(targets == nullptr || (targets->rows() == held && targets->device() == m.device()),
-          ErrorKind::Value, kName, ": targets: expected {", held,
+  const auto kinematic = static_cast<size_t>(kinematic_count());
+  require(targets == nullptr || (targets->rows() == kinematic && targets->device() == m.device()),
+          ErrorKind::Value, kName, ": targets: expected {", kinematic,
           ", 3}, a position for every kinematic particle, got ",
           targets == nullptr ? 0 : targets->rows(), " rows");
   const LaunchRecorder* const recorder = launch_recorder();

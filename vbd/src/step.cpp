@@ -106,8 +106,8 @@ void Step::build() {
   if (options_.coarse) coarse_.emplace(m, slots_, device());
   if (options_.self_contact) self_contact_.emplace(model_, slots_, *options_.self_contact);
   ++builds_;
-  is_held_ = upload<int32_t>(slots_.held_flags(), device());
-  held_ = upload<int32_t>(slots_.held(), device());
+  is_kinematic_ = upload<int32_t>(slots_.kinematic_flags(), device());
+  kinematic_ = upload<int32_t>(slots_.kinematic(), device());
   if (slots_.has_conflicts() && next_.rows() == 0) next_ = Rows4(x_.rows(), device());
   for (Stamped& s : values_) s.stamp.set(*s.array);
   tables_.reset();
@@ -277,7 +277,7 @@ StepList& Step::list_for(const StepInputs& in, const StepResults& out) {
                                        .world = m.particle_world,
                                        .gravity = m.gravity,
                                        .last_world = m.world_count() - 1,
-                                       .is_held = is_held_,
+                                       .is_kinematic = is_kinematic_,
                                        .h = tables_->dt,
                                        .guess = static_cast<int64_t>(options_.initial_guess),
                                        .last_velocity = if_any(in.last_velocity),
@@ -309,7 +309,7 @@ StepList& Step::list_for(const StepInputs& in, const StepResults& out) {
 }
 
 VbdAccelerateArguments Step::acceleration(int32_t iteration) const {
-  return {.is_held = is_held_,
+  return {.is_kinematic = is_kinematic_,
           .contact_begin = has_contacts_ ? &contact_begin_ : nullptr,
           .omega = chebyshev_[static_cast<size_t>(iteration)],
           .iteration = iteration,
@@ -352,7 +352,7 @@ void Step::run(const StepInputs& in, const StepResults& out,
   list_->prepare();
   if (in.targets.rows() != 0)
     novaphy::run(kernels().target, kinematic_count(),
-                 {.held = held_, .targets = in.targets, .x = x_});
+                 {.kinematic = kinematic_, .targets = in.targets, .x = x_});
   iterations_run_ = options_.iterations;
   if (self_contact_) {
     iterate_in_contact();

@@ -90,8 +90,8 @@ class Step {
   int64_t block_groups() const {
     return block_groups_;
   }  // of the last run; 0: one thread for each particle
-  bool is_held(size_t p) const { return slots_.is_held(static_cast<int32_t>(p)); }
-  int32_t kinematic_count() const { return static_cast<int32_t>(held_.rows()); }
+  bool is_kinematic(size_t p) const { return slots_.is_kinematic(static_cast<int32_t>(p)); }
+  int32_t kinematic_count() const { return static_cast<int32_t>(kinematic_.rows()); }
   // Returns whether the initial guess of a step uses the previous velocity.
   bool looks_back(const StepInputs& in) const {
     return options_.initial_guess == VbdInitialGuess::Adaptive && in.last_velocity.rows() != 0;
@@ -121,8 +121,8 @@ class Step {
     upload_rows(x_, x);
     upload_rows(moved_, moved);
   }
-  const DeviceArray<int32_t>& is_held() const { return is_held_; }
-  const DeviceArray<int32_t>& held() const { return held_; }
+  const DeviceArray<int32_t>& is_kinematic() const { return is_kinematic_; }
+  const DeviceArray<int32_t>& kinematic() const { return kinematic_; }
   const DeviceArray<int32_t>& particles() const { return tables_->particle; }  // of all lanes
   const DeviceArray<int32_t>& filled() const { return tables_->filled; }       // of all groups
   // Contacts, sorted by particle. The arrays are large enough for all slots of the contacts.
@@ -206,7 +206,7 @@ class Step {
   StepList* list_ = nullptr;                // the list of the last run
   int64_t block_groups_ = 0;
   std::vector<Trained> trained_;  // of all tables that graphs may still use
-  DeviceArray<int32_t> is_held_, held_;
+  DeviceArray<int32_t> is_kinematic_, kinematic_;
   Rows4 start_, target_, moved_, x_, next_, newer_, older_;
   std::vector<Rows4> iterates_, searches_;  // see before() and search()
   DeviceArray<int32_t> contact_begin_, contact_items_;

@@ -292,7 +292,7 @@ void StepAdjoint::prepare(const StepInputs& in, const ResultAdjoints& adjoints,
                                           .qd_adjoint = if_any(adjoints.qd),
                                           .inverse_h = inverse_h,
                                           .x_adjoint = x_bar_};
-  const VbdAdjointEndArguments end = {.is_held = step_.is_held(),
+  const VbdAdjointEndArguments end = {.is_kinematic = step_.is_kinematic(),
                                       .x_adjoint = x_bar_,
                                       .guess = guess,
                                       .qd_adjoint = if_any(adjoints.qd),

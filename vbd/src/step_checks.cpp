@@ -45,7 +45,7 @@ void Step::check_inputs(const StepInputs& in) {
   };
   for (size_t p = 0; p < faults.size(); ++p) {
     check("state_in.particle_q", p, in.q.data()[p]);
-    if (is_held(p)) continue;
+    if (is_kinematic(p)) continue;
     check("state_in.particle_qd", p, in.qd.data()[p]);
     check("state_in.particle_f", p, in.f.data()[p]);
   }

@@ -29,13 +29,13 @@ class Direction {
     const OnHost<float> mass_tangent(t.particle_mass), last_tangent(t.last_velocity);
     const OnHost<VbdRow> last(in.last_velocity);
     const std::vector<Vec3f> gravities = step.model().gravity.to_host();
-    size_t held = 0;
+    size_t kinematic = 0;
     for (size_t p = 0; p < to.x.size(); ++p) {
       const Vec3f start = at(q_tangent.rows, p);
       to.start[p] = start;
-      if (step.is_held(p)) {
-        to.x[p] = in.targets.rows() != 0 ? at(target_tangent.rows, held) : start;
-        ++held;
+      if (step.is_kinematic(p)) {
+        to.x[p] = in.targets.rows() != 0 ? at(target_tangent.rows, kinematic) : start;
+        ++kinematic;
         continue;
       }
       const int32_t world = m.particle_world.data()[p];

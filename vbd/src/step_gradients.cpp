@@ -28,7 +28,7 @@ void StepAdjoint::put_state(const StepInputs& in, const StepDerivatives& g) cons
   const bool guessed = !key_.at_solution && step_.looks_back(in);
   if (any(g.particle_q, g.particle_qd, g.particle_f, g.particle_mass, g.gravity, g.last_velocity))
     novaphy::run(kernels().particle_gradient, m.particle_count(),
-                 {.is_held = step_.is_held(),
+                 {.is_kinematic = step_.is_kinematic(),
                   .inv_mass = m.particle_inv_mass,
                   .f = in.f,
                   .x_adjoint = x_bar_,
@@ -50,7 +50,7 @@ void StepAdjoint::put_state(const StepInputs& in, const StepDerivatives& g) cons
                   .last_world = m.world_count() - 1});
   if (any(g.targets))
     novaphy::run(kernels().target_gradient, step_.kinematic_count(),
-                 {.held = step_.held(),
+                 {.kinematic = step_.kinematic(),
                   .x_adjoint = x_bar_,
                   .has_targets = int{in.targets.rows() != 0},
                   .by_targets = if_any(g.targets)});

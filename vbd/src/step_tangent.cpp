@@ -72,7 +72,7 @@ Rows StepTangent::unrolled(const SweepTangents& along) {
   put(along);
   Rows tangents = along.x;
   for (size_t p = 0; p < tangents.size(); ++p)
-    if (!step_.is_held(p)) tangents[p] = along.guess[p];
+    if (!step_.is_kinematic(p)) tangents[p] = along.guess[p];
   upload_rows(x_, tangents);
   const auto iterations = static_cast<size_t>(step_.options().iterations);
   const bool corrects = step_.coarse() != nullptr && iterations > 0;

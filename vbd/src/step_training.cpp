@@ -26,8 +26,9 @@ void Step::reserve_training() {
       for (size_t e = 0; e < indices.rows(); ++e) {
         const std::span of(corners + e * Element::kCorners, size_t{Element::kCorners});
         const bool is_whole = std::none_of(of.begin(), of.end(), [](int32_t p) { return p < 0; });
-        const bool moves = is_whole && std::any_of(of.begin(), of.end(),
-                                                   [&](int32_t p) { return !slots_.is_held(p); });
+        const bool moves = is_whole && std::any_of(of.begin(), of.end(), [&](int32_t p) {
+                             return !slots_.is_kinematic(p);
+                           });
         allowed.push_back(moves ? 0 : kVbdAnyMaterial);
       }
     });

@@ -34,14 +34,14 @@ NOVAPHY_ROW_KERNEL(vbd_adjoint_begin, VbdAdjointBeginArguments) {
 }
 
 struct VbdAdjointEndArguments {
-  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> is_held; ReadsRow<VbdRow> x_adjoint;
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> is_kinematic; ReadsRow<VbdRow> x_adjoint;
                     Optional<UpdatesRow<VbdRow>>
                         guess;  // gets the adjoint of the initial guess; null: not stored
                     Optional<Reads<Vec3f>> qd_adjoint; Number<float> inverse_h;
                     UpdatesRow<VbdRow> start_adjoint;)
 };
 NOVAPHY_ROW_KERNEL(vbd_adjoint_end, VbdAdjointEndArguments) {
-  if (a.guess != nullptr && a.is_held[row] == 0)
+  if (a.guess != nullptr && a.is_kinematic[row] == 0)
     a.guess[row] = to_row(to_vec3(a.guess[row]) + to_vec3(a.x_adjoint[row]));
   if (a.qd_adjoint != nullptr)
     a.start_adjoint[row] =
@@ -81,7 +81,7 @@ NOVAPHY_ROW_KERNEL(vbd_receive, VbdReceiveArguments) {
 }
 
 struct VbdParticleGradientArguments {
-  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> is_held; ReadsRow<float> inv_mass; ReadsRow<Vec3f> f;
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> is_kinematic; ReadsRow<float> inv_mass; ReadsRow<Vec3f> f;
                     ReadsRow<VbdRow> x_adjoint, start_adjoint, target_adjoint;
                     ReadsRow<float> mass_adjoint; Number<float> h;
                     Number<int64_t> have_targets;  // 1: kinematic particles have targets
@@ -97,11 +97,11 @@ struct VbdParticleGradientArguments {
 };
 NOVAPHY_ROW_KERNEL(vbd_particle_gradient, VbdParticleGradientArguments) {
   const float h = a.h.value, w = a.inv_mass[row];
-  const bool is_held = a.is_held[row] != 0;
+  const bool is_kinematic = a.is_kinematic[row] != 0;
   Vec3f by_target = to_vec3(a.target_adjoint[row]);
   Vec3f by_start = to_vec3(a.start_adjoint[row]);
   vbd::GuessAdjoints guess;
-  if (a.last != nullptr && !is_held) {
+  if (a.last != nullptr && !is_kinematic) {
     const Vec3f adjoint = to_vec3(a.x_adjoint[row]);
     const VbdRow last = a.last[row];
     if (last.w == 0.0f) {
@@ -114,7 +114,7 @@ NOVAPHY_ROW_KERNEL(vbd_particle_gradient, VbdParticleGradientArguments) {
     }
   }
   by_start = by_start + by_target;
-  if (is_held && a.have_targets == 0) by_start = by_start + to_vec3(a.x_adjoint[row]);
+  if (is_kinematic && a.have_targets == 0) by_start = by_start + to_vec3(a.x_adjoint[row]);
   if (a.by_q != nullptr) a.by_q[row] = by_start;
   if (a.by_qd != nullptr) a.by_qd[row] = by_target * h + guess.by_velocity;
   if (a.by_gravity != nullptr) a.by_gravity[row] = to_row(by_target * (h * h) + guess.by_gravity);
@@ -128,15 +128,15 @@ NOVAPHY_ROW_KERNEL(vbd_particle_gradient, VbdParticleGradientArguments) {
   // The mass enters through m/h^2, and through 1/m in the inertial position.
   const float by_inverse = math::dot(by_target, a.f[row]) * (h * h);
   if (a.by_mass != nullptr)
-    a.by_mass[row] = is_held ? 0.0f : a.mass_adjoint[row] / (h * h) - (w * w) * by_inverse;
+    a.by_mass[row] = is_kinematic ? 0.0f : a.mass_adjoint[row] / (h * h) - (w * w) * by_inverse;
 }
 
 struct VbdTargetGradientArguments {
-  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> held; Reads<VbdRow> x_adjoint; Number<int64_t> has_targets;
-                    Writes<Vec3f> by_targets;)
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> kinematic; Reads<VbdRow> x_adjoint;
+                    Number<int64_t> has_targets; Writes<Vec3f> by_targets;)
 };
 NOVAPHY_ROW_KERNEL(vbd_target_gradient, VbdTargetGradientArguments) {
-  a.by_targets[row] = a.has_targets != 0 ? to_vec3(a.x_adjoint[a.held[row]]) : Vec3f{};
+  a.by_targets[row] = a.has_targets != 0 ? to_vec3(a.x_adjoint[a.kinematic[row]]) : Vec3f{};
 }
 
 struct VbdGravityGradientArguments {

@@ -28,8 +28,9 @@ struct VbdTableArguments {
 struct VbdPredictArguments {
   NOVAPHY_ARGUMENTS(ReadsRow<Vec3f> particle_q, particle_qd, particle_f;  // a row for each particle
                     ReadsRow<float> particle_inv_mass; ReadsRow<int32_t> world;
-                    Reads<Vec3f> gravity; Number<int64_t> last_world; ReadsRow<int32_t> is_held;
-                    Number<float> h; Number<int64_t> guess;  // VbdInitialGuess
+                    Reads<Vec3f> gravity; Number<int64_t> last_world;
+                    ReadsRow<int32_t> is_kinematic; Number<float> h;
+                    Number<int64_t> guess;  // VbdInitialGuess
                     // The velocity at the start of the previous step, and the number 1 (0: no
                     // previous step). Null: the adaptive guess is not used.
                     Optional<ReadsRow<VbdRow>> last_velocity;
@@ -54,7 +55,7 @@ NOVAPHY_ROW_KERNEL(vbd_predict, VbdPredictArguments) {
   a.start[row] = to_row(q);
   VbdRow last;
   if (a.last_velocity != nullptr) last = a.last_velocity[row];
-  if (a.is_held[row] != 0) {
+  if (a.is_kinematic[row] != 0) {
     vbd::note_fault(a.faults, row, vbd::input_fault(q, {}, {}, {}));
     a.x[row] = a.target[row] = to_row(q);
     a.moved[row] = to_row({});
@@ -72,10 +73,12 @@ NOVAPHY_ROW_KERNEL(vbd_predict, VbdPredictArguments) {
 }
 
 struct VbdTargetArguments {
-  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> held; ReadsRow<Vec3f> targets; Updates<VbdRow> x;)
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> kinematic; ReadsRow<Vec3f> targets; Updates<VbdRow> x;)
 };
 // Moves kinematic particles to their targets.
-NOVAPHY_ROW_KERNEL(vbd_target, VbdTargetArguments) { a.x[a.held[row]] = to_row(a.targets[row]); }
+NOVAPHY_ROW_KERNEL(vbd_target, VbdTargetArguments) {
+  a.x[a.kinematic[row]] = to_row(a.targets[row]);
+}
 
 struct VbdNumbersArguments {
   NOVAPHY_ARGUMENTS(
@@ -180,7 +183,7 @@ NOVAPHY_ROW_KERNEL(vbd_commit, VbdCommitArguments) {
 }
 
 struct VbdAccelerateArguments {
-  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> is_held;
+  NOVAPHY_ARGUMENTS(ReadsRow<int32_t> is_kinematic;
                     Optional<Reads<int32_t>> contact_begin;  // null: no contacts
                     Number<float> omega; Number<int64_t> iteration; ReadsRow<VbdRow> start;
                     UpdatesRow<VbdRow> moved, x, newer, older;)
@@ -188,7 +191,7 @@ struct VbdAccelerateArguments {
 NOVAPHY_ROW_KERNEL(vbd_accelerate, VbdAccelerateArguments) {
   const bool touches =
       a.contact_begin != nullptr && a.contact_begin[row] < a.contact_begin[row + 1];
-  if (a.iteration > 1 && a.is_held[row] == 0 && !touches) {
+  if (a.iteration > 1 && a.is_kinematic[row] == 0 && !touches) {
     const Vec3f before = to_vec3(a.older[row]);
     const Vec3f moved = (to_vec3(a.moved[row]) - before) * a.omega.value + before;
     a.moved[row] = to_row(moved);

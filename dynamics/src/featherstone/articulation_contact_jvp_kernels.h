@@ -98,7 +98,7 @@ struct GroupTangent : GroupLists {
 // An island with the members that solve_dual_island needs.
 struct TangentIsland : ActiveIsland<GroupTangent> {
   template <class F>
-  void for_held(const F& f) const {
+  void for_sticking(const F& f) const {
     for (int32_t i = root; i >= 0; i = s.a.nodes[i].next)
       for (int32_t k = 0; k < s.rows(i).dof_count; ++k)
         if (s.has_friction(i, k) &&

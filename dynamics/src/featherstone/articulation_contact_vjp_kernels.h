@@ -58,7 +58,7 @@ struct GroupAdjoint : ContactGroup {
 // An island with the members that solve_adjoint needs.
 struct GroupIsland : ActiveIsland<GroupAdjoint> {
   template <class F>
-  void for_held(const F& f) const {
+  void for_sticking(const F& f) const {
     for (int32_t i = root; i >= 0; i = s.a.nodes[i].next) {
       const articulation::PgsJointFriction<float>* const dry = s.friction(i);
       for (int32_t k = 0; k < s.rows(i).dof_count; ++k)

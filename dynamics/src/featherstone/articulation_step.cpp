@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "../step_sources.h"
-#include "follower_limits.h"
+#include "mimic_limits.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/row_scratch.h"
@@ -71,12 +71,12 @@ void check_joint_limits(const Model& m, const FeatherstoneOptions& options, cons
   require(elastic >= 0.0f && elastic <= (rows ? 1.0f : 0.0f), ErrorKind::Value, user,
           ": joint_limit_restitution: expected ",
           rows ? "0 to 1" : "0 without joint_limits=\"row\"", ", got ", elastic);
-  FollowerLimits().check(m, options, user);
+  MimicLimits().check(m, options, user);
 }
 
 }  // namespace
 
-void FollowerLimits::check(const Model& m, const FeatherstoneOptions& options, const char* user) {
+void MimicLimits::check(const Model& m, const FeatherstoneOptions& options, const char* user) {
   if (options.joint_limits != JointLimits::Row) return;
   const Array* const arrays[] = {&m.joint_mimic, &m.joint_limit_lower, &m.joint_limit_upper};
   bool same = true;

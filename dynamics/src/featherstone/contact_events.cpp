@@ -168,7 +168,7 @@ ContactEvents ContactSteps::events(const float* qd, bool continues,
     for (int32_t t = s.first_tree(); t < s.end_tree(); ++t) {
       const int32_t root = s.a.trees[t];
       found.root[static_cast<size_t>(root)] = s.root(root);
-      if (s.root(root) != root || s.a.nodes[root].joined == 0) continue;
+      if (s.root(root) != root || s.a.nodes[root].coupled == 0) continue;
       any = true;
       const std::vector<char> hits = find_hits(s, root, continues, found);
       find_turned(s, root, landed, found.turned);

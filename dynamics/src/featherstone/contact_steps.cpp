@@ -258,7 +258,7 @@ ArticulationContactStepArguments ContactSteps::step_arguments(const Articulation
           .tolerance = o.pgs_tolerance,
           .most_sweeps = o.pgs_iterations,
           .warm_start = o.warm_start,
-          .most_alone = record.records ? 0 : art::kMostTreeContacts,
+          .most_isolated = record.records ? 0 : art::kMostTreeContacts,
           .kept_begin = kept_begin_,
           .kept = Untyped(kept_),
           .kept_dt = kept_dt_,

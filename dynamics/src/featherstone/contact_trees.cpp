@@ -60,10 +60,10 @@ bool ContactSteps::take_trees(const FeatherstoneOptions& options, TreeSteps& lan
   for (size_t i = 0; i < nodes.size(); ++i) {
     IslandNode& node = nodes[i];
     const bool sleeps = sleeping != nullptr && sleeping->asleep[i] != 0;
-    const bool alone = !sleeps && node.joined == 0 && node.root == static_cast<int32_t>(i) &&
+    const bool isolated = !sleeps && node.coupled == 0 && node.root == static_cast<int32_t>(i) &&
                        node.met == 0 && last_->step.status[i] == 0;
-    node.taken = alone ? 1 : 0;
-    if (alone) taken_.push_back(static_cast<int32_t>(i));
+    node.taken = isolated ? 1 : 0;
+    if (isolated) taken_.push_back(static_cast<int32_t>(i));
   }
   TakenContacts contacts(*last_);
   lanes.step(last_->step, model_, taken_, options, &contacts, keeps_rates);

@@ -13,7 +13,7 @@
 #include "../step_sources.h"
 #include "articulation_step.h"
 #include "contact_steps.h"
-#include "follower_limits.h"
+#include "mimic_limits.h"
 #include "novaphy/core/device_kernel.h"
 #include "novaphy/core/error.h"
 #include "novaphy/dynamics/featherstone/diff_articulation_step.h"
@@ -151,7 +151,7 @@ struct ArticulationStep::Shared {
   FeatherstoneOptions options;
   Device device;
   Articulations articulations;
-  FollowerLimits followers;
+  MimicLimits followers;
   std::optional<TreeSteps> trees;  // on the CPU
   ContactSteps contacts;
   std::vector<int32_t> all;  // all articulations

@@ -19,7 +19,7 @@ GroupStep group_of(const ArticulationContactStepArguments& a, int32_t tree) {
 }
 
 bool is_coupled(const IslandNode& node, int32_t tree) {
-  return node.root == tree && node.taken == 0 && node.joined != 0 && node.rows > 0 &&
+  return node.root == tree && node.taken == 0 && node.coupled != 0 && node.rows > 0 &&
          node.rows <= kMostRows;
 }
 bool may_share(const GroupStep& s, int32_t root) {

@@ -12,7 +12,7 @@
 #include "articulation_sleep.h"
 #include "articulation_step.h"
 #include "contact_steps.h"
-#include "follower_limits.h"
+#include "mimic_limits.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/storage.h"
 #include "novaphy/core/warning.h"
@@ -91,7 +91,7 @@ struct SolverFeatherstone::Cache {
     followers.check(m, options, kName);
   }
   Articulations articulations;
-  FollowerLimits followers;
+  MimicLimits followers;
   DeviceArray<float> qdd, branch, workspace;
   DeviceArray<int32_t> status;
   int64_t stride = 0;              // floats of the workspace per articulation

@@ -4,7 +4,7 @@
 #include "novaphy/core/error.h"
 #include "novaphy/core/sim/contact_count.h"
 #include "novaphy/core/sim/on_host.h"
-#include "novaphy/dynamics/semi_implicit/contact_follows_kernels.h"
+#include "novaphy/dynamics/semi_implicit/contact_moves_kernels.h"
 
 namespace novaphy {
 
@@ -25,7 +25,7 @@ std::vector<bool> exact_contact_gradients(const Model& model, const SimState& st
   const OnHost body_q(state.body_q), shape_transform(model.shape_transform);
   const int32_t rows = filled_rows(count[0], contacts.rigid_contact_max(), shape0.data());
   const bool follow = contacts.rigid_contacts_found_from(model, state.body_q);
-  const FollowedContacts of = {.shape0 = direct(shape0.data()),
+  const MovingContacts of = {.shape0 = direct(shape0.data()),
                                .shape1 = direct(shape1.data()),
                                .point0 = direct(point0.data()),
                                .point1 = direct(point1.data()),
@@ -42,14 +42,14 @@ std::vector<bool> exact_contact_gradients(const Model& model, const SimState& st
       require(s >= 0 && s < model.shape_count(), ErrorKind::Index, name,
               ": contacts: rigid_contact_shape0, shape1[", row, "]: expected 0 to ",
               model.shape_count() - 1, ", got ", s);
-    exact[r] = follow && contact_follows(of, row);
+    exact[r] = follow && contact_moves(of, row);
   }
   return exact;
 }
 
 bool has_exact_gradient(const Model& m, const DeviceArray<Transformf>& body_q,
                         const ContactFields& c, int32_t row) {
-  const FollowedContacts of = {.shape0 = direct(c.rigid_contact_shape0.data()),
+  const MovingContacts of = {.shape0 = direct(c.rigid_contact_shape0.data()),
                                .shape1 = direct(c.rigid_contact_shape1.data()),
                                .point0 = direct(c.rigid_contact_point0.data()),
                                .point1 = direct(c.rigid_contact_point1.data()),
@@ -59,7 +59,7 @@ bool has_exact_gradient(const Model& m, const DeviceArray<Transformf>& body_q,
                                .shape_type = direct(m.shape_type.data()),
                                .shape_transform = direct(m.shape_transform.data()),
                                .shape_scale = direct(m.shape_scale.data())};
-  return contact_follows(of, row);
+  return contact_moves(of, row);
 }
 
 }  // namespace novaphy

@@ -157,7 +157,7 @@ void sort(const Array& table, int64_t rows, nova::Incidence& sorted) {
 
 void ContactTables::update(const Model& model, const Contacts& contacts, const Wanted& wanted) {
   of_this_state_ = wanted.of_this_state;
-  particles_follow_ = wanted.particles_follow;
+  particles_move_ = wanted.particles_move;
   if (!wanted.particles || contacts.soft_contact_max() == 0) {
     slots_of_particles_ = nullptr;
   } else if (const auto& range = contacts.soft_contact_particle.range();
@@ -191,7 +191,7 @@ void ContactTables::update(const Model& model, const Contacts& contacts, const W
 
 void ContactTables::rebuild(const Model& model, const Contacts& contacts, const Wanted& wanted) {
   of_this_state_ = wanted.of_this_state;
-  particles_follow_ = wanted.particles_follow;
+  particles_move_ = wanted.particles_move;
   if (wanted.particles && contacts.soft_contact_max() > 0)
     sort(contacts.soft_contact_particle, model.particle_count(), slots_of_particles_);
   rebuild_bodies(model, contacts, wanted);
@@ -272,7 +272,7 @@ void eval_soft_contacts(const Model& m, const Contacts& c, const ContactTables& 
                              nova::operand_of(m.body_com)};
   const std::array params = detail::soft_contact_params(m, kf_rate);
   const Operand out[] = {forces, wrenches};
-  const bool follow = tables.particles_follow();
+  const bool follow = tables.particles_move();
   if (follow) add_shapes(m, in);
   soft_kernel(follow).launch(forces.rows, in, out, {.params = params});
 }

@@ -77,16 +77,16 @@ AdjointRecord::Contact contact_of(const Model& m, const NotedStep& step, const T
   const Vec3f com = math::transform_point(step.body_q.data()[b], m.body_com.data()[b]);
   const double dt{step.dt};
   const Vec3d adjoint = by_force(wrench, row.sides[1]) - by_force(wrench, row.sides[0]);
-  return {
-      .row = row.row,
-      .world = world < 0 ? m.shape_world.data()[row.second] : world,
-      .shape0 = row.first,
-      .shape1 = row.second,
-      .point = com + narrow(side.arm),
-      .normal = narrow(-row.normal),
-      .impulse = narrow(row.force * dt),
-      .adjoint = narrow(adjoint * (1.0 / dt)),
-      .held = !step.rigid_follow || !has_exact_gradient(m, step.body_q, *step.contacts, row.row)};
+  return {.row = row.row,
+          .world = world < 0 ? m.shape_world.data()[row.second] : world,
+          .shape0 = row.first,
+          .shape1 = row.second,
+          .point = com + narrow(side.arm),
+          .normal = narrow(-row.normal),
+          .impulse = narrow(row.force * dt),
+          .adjoint = narrow(adjoint * (1.0 / dt)),
+          .held = !step.rigid_contact_moves ||
+                  !has_exact_gradient(m, step.body_q, *step.contacts, row.row)};
 }
 
 using PairOfWorld = std::tuple<int32_t, int32_t, int32_t>;

@@ -28,7 +28,8 @@ struct NotedStep {
   DeviceArray<SpatialVectorf> body_qd;
   std::shared_ptr<const ContactFields> contacts;   // null: none
   bool soft = false, rigid = false;                // which kinds of contacts act
-  bool soft_follow = false, rigid_follow = false;  // the step's state gave the contacts
+  bool soft_contact_moves = false,
+       rigid_contact_moves = false;  // the step's state gave the contacts
   // 1/s: bound of a particle contact's friction coefficient kf per particle mass, in the
   // semi-implicit solver (soft_contact_force_term).
   float kf_rate = 0.0f;

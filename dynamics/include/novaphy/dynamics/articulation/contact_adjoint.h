@@ -89,7 +89,7 @@ inline int64_t adjoint_numbers(int64_t contacts, int64_t held) {
 // Solves for the multipliers z of an island, and subtracts the impulses of contacts and dry
 // friction from the gradients of the rates. Members of `island`:
 //   for_contacts(f)     calls f(contact) for rows with impulses, in their order
-//   for_held(f)         calls f(friction, tree) for dofs that stick by dry friction
+//   for_sticking(f)         calls f(friction, tree) for dofs that stick by dry friction
 //   system(numbers)     returns memory, or null; with null the result is false
 //   rate_gradient(tree), dofs(tree)
 template <class Island>
@@ -97,7 +97,7 @@ bool solve_adjoint(const Island& island, bool cone) {
   using Dry = PgsJointFriction<float>;
   int64_t contacts = 0, held = 0;
   island.for_contacts([&](const AdjointContact&) { ++contacts; });
-  island.for_held([&](const Dry&, int32_t) { ++held; });
+  island.for_sticking([&](const Dry&, int32_t) { ++held; });
   double* const system = island.system(adjoint_numbers(contacts, held));
   if (system == nullptr) return false;
   const int64_t first_held = 3 * contacts, n = first_held + held, width = n + 1;
@@ -105,9 +105,9 @@ bool solve_adjoint(const Island& island, bool cone) {
 
   double* of_held = system + first_held * width;
   int64_t own = first_held;
-  island.for_held([&](const Dry& row, int32_t tree) {
+  island.for_sticking([&](const Dry& row, int32_t tree) {
     double* other = of_held + first_held;
-    island.for_held([&](const Dry& to, int32_t other_tree) {
+    island.for_sticking([&](const Dry& to, int32_t other_tree) {
       if (other_tree == tree) *other = row.response[to.dof];
       ++other;
     });
@@ -145,7 +145,7 @@ bool solve_adjoint(const Island& island, bool cone) {
     for (int i = 0; i < 3; ++i) {
       double* const row = system + (column + i) * width;
       int64_t f = first_held;
-      island.for_held([&](const Dry& dry, int32_t) {
+      island.for_sticking([&](const Dry& dry, int32_t) {
         double y[3] = {};  // response of the contact's rows for the dof
         for (const RowSide<float>& s : other.sides) {
           if (s.response == nullptr || s.rates != dry.rates) continue;
@@ -187,7 +187,7 @@ bool solve_adjoint(const Island& island, bool cone) {
     column += 3;
   });
   int64_t f = first_held;
-  island.for_held([&](const Dry& dry, int32_t tree) {
+  island.for_sticking([&](const Dry& dry, int32_t tree) {
     float& g = island.rate_gradient(tree)[dry.dof];
     g -= static_cast<float>(system[f++ * width + n]);
   });

@@ -45,7 +45,7 @@ struct IslandNode {
   int32_t met;                        // whether a contact touches it although impulses do not move
                                       // it
   int32_t taken;                      // whether TreeSteps steps it
-  int32_t joined;                     // for roots only, with all members below: whether the island
+  int32_t coupled;                     // for roots only, with all members below: whether the island
                                       // is coupled
   int32_t last;                       // last tree of the island
   int32_t first_row, last_row, rows;  // its contacts, as places in the list of the group
@@ -275,7 +275,7 @@ inline int32_t list_contact(const GroupLists& s, int32_t place) {
   (node.rows == 0 ? node.first_row : a.chain[node.last_row].next) = place;
   node.last_row = place;
   ++node.rows;
-  if (articulation::joins_more(sides, s.rows(tree).dof_count)) node.joined = 1;
+  if (articulation::couples_trees(sides, s.rows(tree).dof_count)) node.coupled = 1;
   for (const articulation::ContactSide& side : sides)
     if (side.tree >= 0 && !articulation::moves(s.all_rows, side)) a.nodes[side.tree].met = 1;
   return root;

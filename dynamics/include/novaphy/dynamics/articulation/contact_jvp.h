@@ -215,7 +215,7 @@ inline void push_absent_friction(const Tree<DualFloat>& tree, Workspace<DualFloa
 
 // Computes the tangents of an island's impulses, after all functions above. Members of `island`:
 //   for_contacts(f)  calls f(DualContact) for contacts that push, in their order
-//   for_held(f)      calls f(tree, dof, response) for dofs that stick by dry friction
+//   for_sticking(f)      calls f(tree, dof, response) for dofs that stick by dry friction
 //   system(n)        returns memory for n numbers, or null
 // Returns false without memory; then nothing has changed.
 template <class Trees, class Island>
@@ -223,7 +223,7 @@ bool solve_dual_island(const Trees& trees, const Island& island, bool cone) {
   int64_t contacts = 0, n = 0;
   island.for_contacts([&](const DualContact&) { contacts += 3; });
   n = contacts;
-  island.for_held([&](int32_t, int32_t, const DualFloat*) { ++n; });
+  island.for_sticking([&](int32_t, int32_t, const DualFloat*) { ++n; });
   const int64_t width = n + 1;
   double* const system = island.system(n * width);
   if (system == nullptr) return false;
@@ -253,7 +253,7 @@ bool solve_dual_island(const Trees& trees, const Island& island, bool cone) {
         }
         column += 3;
       });
-      island.for_held([&](int32_t tree, int32_t, const DualFloat* response) {
+      island.for_sticking([&](int32_t tree, int32_t, const DualFloat* response) {
         for (const DualSide& m : row.moved)
           for (int j = 0; m.tree == tree && j < 3; ++j)
             for (int32_t x = 0; x < m.dofs; ++x)
@@ -268,13 +268,13 @@ bool solve_dual_island(const Trees& trees, const Island& island, bool cone) {
     }
     at += 3;
   });
-  island.for_held([&](int32_t tree, int32_t dof, const DualFloat*) {
+  island.for_sticking([&](int32_t tree, int32_t dof, const DualFloat*) {
     double* const to = system + at * width;
     int64_t column = 0;
     island.for_contacts([&](const DualContact& other) {
       for (int i = 0; i < 3; ++i) to[column++] = dual_response(other, i, tree, dof);
     });
-    island.for_held([&](int32_t of, int32_t, const DualFloat* response) {
+    island.for_sticking([&](int32_t of, int32_t, const DualFloat* response) {
       if (of == tree) to[column] = response[dof].value;
       ++column;
     });
@@ -288,7 +288,7 @@ bool solve_dual_island(const Trees& trees, const Island& island, bool cone) {
     for (int r = 0; r < 3; ++r)
       change_impulse(row, r, static_cast<float>(system[at++ * width + n]), trees);
   });
-  island.for_held([&](int32_t tree, int32_t, const DualFloat* response) {
+  island.for_sticking([&](int32_t tree, int32_t, const DualFloat* response) {
     const DualFloat change(0.0f, static_cast<float>(system[at++ * width + n]));
     DualFloat* const rates = trees.workspace(tree).qd_next;
     for (int32_t k = 0; k < trees.tree(tree).dof_count; ++k)

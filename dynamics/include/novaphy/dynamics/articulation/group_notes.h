@@ -9,7 +9,7 @@ namespace novaphy {
 inline void note_island(const GroupStep& s, int32_t root, articulation::BranchNotes& notes) {
   const IslandNode& node = s.a.nodes[root];
   if (node.failed != 0) notes.all.jumps = 1;
-  if (node.failed != 0 || node.joined == 0) return;
+  if (node.failed != 0 || node.coupled == 0) return;
   const articulation::IslandContact* const rows = rows_of(s, root);
   for (int32_t n = 0; n < node.rows; ++n) {
     articulation::note_contact(s.contacts, s.law, s.all.by_restitution.value != 0, rows[n], notes);

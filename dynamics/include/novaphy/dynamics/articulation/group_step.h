@@ -10,7 +10,7 @@ namespace novaphy {
 // Arguments of the step. A place is an entry of a group's list of contacts.
 //   step.status     per tree: also -1 - a contact with another group
 //   moved_by        per link: the dofs that move it, as bits
-//   most_alone      largest number of contacts of an island that tree_contacts.h solves
+//   most_isolated      largest number of contacts of an island that tree_contacts.h solves
 //   kept, now       contact impulses of the step before, from kept_begin on, and of this step by
 //                   place; kept_friction, now_friction: of dry friction {dofs}
 //   lanes           TreeSteps steps the trees marked `taken`
@@ -20,7 +20,7 @@ namespace novaphy {
 struct ArticulationContactStepArguments {
   NOVAPHY_ARGUMENTS(Part<ArticulationStepArguments> step; Part<ContactGroupArguments> of;
                     Optional<Given<int32_t>> point_id; Given<int32_t> moved_by;
-                    Number<float> tolerance; Number<int64_t> most_sweeps, warm_start, most_alone;
+                    Number<float> tolerance; Number<int64_t> most_sweeps, warm_start, most_isolated;
                     Given<int32_t> kept_begin; Given<articulation::KeptContact> kept;
                     Given<float> kept_dt, kept_friction; Changed<float> now_friction;
                     Writes<articulation::KeptContact> now; Writes<int32_t> places;
@@ -35,13 +35,14 @@ struct ArticulationContactStepArguments {
 // Returns the memory of a contact of trees with `dofs` dofs, enough for any method of solution.
 inline int64_t island_contact_bytes(int32_t dofs) {
   namespace art = articulation;
-  const int64_t joined = static_cast<int64_t>(sizeof(art::IslandContact)) + contact_row_bytes(dofs);
+  const int64_t coupled =
+      static_cast<int64_t>(sizeof(art::IslandContact)) + contact_row_bytes(dofs);
   // A of n <= kCoupledContacts contacts has 9 n^2 entries, at most 9 kCoupledContacts per contact.
   const int64_t coupling = art::kCoupledContacts * 9 * static_cast<int64_t>(sizeof(float));
-  const int64_t alone =
+  const int64_t isolated =
       static_cast<int64_t>(sizeof(art::TreeContact<float>) + sizeof(art::TreeContactLink<float>)) +
       art::tree_contact_bytes<float>(1, dofs) + coupling;
-  return ((joined > alone ? joined : alone) + 7) / 8 * 8;
+  return ((coupled > isolated ? coupled : isolated) + 7) / 8 * 8;
 }
 
 // A group with one tree keeps the tree on the stack if it fits, and also its contacts if they fit.
@@ -161,7 +162,7 @@ inline void close_island(const GroupStep& s, int32_t root, int32_t& used) {
   bool friction = false;
   for (int32_t i = root; i >= 0; i = s.a.nodes[i].next)
     for (int32_t k = 0; k < s.rows(i).dof_count; ++k) friction = friction || s.has_friction(i, k);
-  if (friction || node.rows > s.all.most_alone.value) node.joined = 1;
+  if (friction || node.rows > s.all.most_isolated.value) node.coupled = 1;
 }
 
 // Finds the islands; call this after open_tree or start_tree of all trees.
@@ -210,7 +211,7 @@ inline articulation::TreeContact<float> contact_of_tree(const GroupStep& s, int3
 }
 
 // Solves an isolated island: one tree that touches only the world.
-inline articulation::IslandResult solve_alone(const GroupStep& s, int32_t root) {
+inline articulation::IslandResult solve_isolated(const GroupStep& s, int32_t root) {
   const IslandNode& node = s.a.nodes[root];
   const articulation::IslandTree of = s.tree(root);
   const int32_t dofs = of.tree.dof_count;
@@ -310,7 +311,7 @@ inline void start_joined(const GroupStep& s, int32_t root, bool all) {
 }
 
 // Solves any island. `swept`: the result of sweep_rates after start_joined; null: not called yet.
-inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root,
+inline articulation::IslandResult solve_coupled(const GroupStep& s, int32_t root,
                                                const articulation::IslandResult* swept) {
   const ContactGroupArguments& a = s.a;
   const IslandNode& node = a.nodes[root];
@@ -352,7 +353,7 @@ inline articulation::IslandResult solve_joined(const GroupStep& s, int32_t root,
   return result;
 }
 
-// Solves an island. If a tree fails, the whole island fails. `swept`: as in solve_joined.
+// Solves an island. If a tree fails, the whole island fails. `swept`: as in solve_coupled.
 inline void solve_island(const GroupStep& s, int32_t root,
                          const articulation::IslandResult* swept = nullptr) {
   const ContactGroupArguments& a = s.a;
@@ -366,12 +367,12 @@ inline void solve_island(const GroupStep& s, int32_t root,
     for (int32_t n = 0; n < node.rows && s.all.force != nullptr; ++n)
       s.all.force[a.contacts[s.places(root)[n]]] = Vec3f{nan, nan, nan};
     node.failed = 1;
-  } else if (node.joined != 0) {
-    node.result = solve_joined(s, root, swept);
+  } else if (node.coupled != 0) {
+    node.result = solve_coupled(s, root, swept);
     for (int32_t n = 0; s.all.notes != nullptr && n < node.rows; ++n)
       rows_of(s, root)[n].turns = s.turns(rows_of(s, root)[n]);
   } else if (node.rows > 0) {
-    node.result = solve_alone(s, root);
+    node.result = solve_isolated(s, root);
   } else {
     for (int32_t i = root; i >= 0; i = a.nodes[i].next) hold_rates(s, i);
   }
@@ -381,7 +382,7 @@ inline void finish_tree(const GroupStep& s, int32_t i) {
   articulation::IslandTree of = s.tree(i);
   const ArticulationRows& rows = s.rows(i);
   int32_t& status = s.all.step.status[i];
-  if (status == 0 && s.a.nodes[s.root(i)].joined != 0) {
+  if (status == 0 && s.a.nodes[s.root(i)].coupled != 0) {
     const int32_t failed =
         articulation::take_rates(of.rates, of.qd, s.how.dt, rows.dof_count, of.ws);
     if (failed >= 0) status = 1 + failed + rows.first_dof;

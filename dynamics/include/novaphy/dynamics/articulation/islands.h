@@ -41,7 +41,7 @@ bool set_widths(const TreeRows* trees, const ContactSide* sides, int32_t* widths
 // Returns whether a contact makes its island coupled: it connects two trees, or a tree with too
 // many `dofs` for tree_contacts.h. An island is also coupled with more than kMostTreeContacts
 // contacts, or with dry friction.
-inline bool joins_more(const ContactSide* sides, int32_t dofs) {
+inline bool couples_trees(const ContactSide* sides, int32_t dofs) {
   return (sides[0].tree >= 0 && sides[1].tree >= 0) || dofs > kTreeContactDofs;
 }
 

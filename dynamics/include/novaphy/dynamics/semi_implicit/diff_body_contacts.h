@@ -42,7 +42,7 @@ class NOVAPHY_DYNAMICS_API ContactTables {
     // move with the state. false: points and normals are frozen.
     bool of_this_state = true;
     // The same for contacts of particles.
-    bool particles_follow = false;
+    bool particles_move = false;
   };
   // Updates the tables from the contacts, unless they are up to date. In a capture each replay
   // rebuilds the tables of bodies. ErrorKind::Index: a contact names a particle that does not
@@ -60,13 +60,13 @@ class NOVAPHY_DYNAMICS_API ContactTables {
   const DeviceArray<int32_t>& soft_bodies() const { return soft_bodies_; }    // {slots}
   const DeviceArray<int32_t>& rigid_bodies() const { return rigid_bodies_; }  // {rows, 2}
   bool of_this_state() const { return of_this_state_; }
-  bool particles_follow() const { return particles_follow_; }
+  bool particles_move() const { return particles_move_; }
 
  private:
   void rebuild_bodies(const Model& model, const Contacts& contacts, const Wanted& wanted);
   nova::Incidence slots_of_particles_, slots_of_bodies_, sides_of_bodies_;
   DeviceArray<int32_t> soft_bodies_, rigid_bodies_;
-  bool of_this_state_ = true, particles_follow_ = false;
+  bool of_this_state_ = true, particles_move_ = false;
   // stamps of the arrays from which the tables of bodies were made
   ArrayStamp soft_shape_, shape0_, shape1_, shape_body_;
 };

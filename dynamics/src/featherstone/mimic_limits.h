@@ -9,7 +9,7 @@
 
 namespace novaphy {
 
-class FollowerLimits {
+class MimicLimits {
  public:
   // Throws ErrorKind::NotImplemented, with `user`, if a mimic joint has a limit and the options
   // have JointLimits::Row. Arrays are checked again after a write.

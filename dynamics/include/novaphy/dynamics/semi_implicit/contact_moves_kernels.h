@@ -14,7 +14,7 @@ inline bool is_endless_plane(int32_t type, const Vec3f& scale) {
 }
 
 // Arrays of contacts, of the model and of a state.
-struct FollowedContacts {
+struct MovingContacts {
   NOVAPHY_ARGUMENTS(Reads<int32_t> shape0, shape1; Detached<Reads<Vec3f>> point0, point1, normal;
                     Detached<Reads<Transformf>> body_q; Reads<int32_t> shape_body, shape_type;
                     Detached<Reads<Transformf>> shape_transform;
@@ -22,7 +22,7 @@ struct FollowedContacts {
 };
 // Returns whether the points and the normal of a contact row move with the state. The contact must
 // have been found from the state.
-inline bool contact_follows(const FollowedContacts& c, int64_t row) {
+inline bool contact_moves(const MovingContacts& c, int64_t row) {
   const int32_t shape[2] = {c.shape0[row], c.shape1[row]};
   const Vec3f point[2] = {c.point0[row], c.point1[row]}, normal = c.normal[row];
   Transformf pose[2];

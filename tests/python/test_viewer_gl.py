@@ -214,19 +214,28 @@ def test_drawings_appear_and_disappear(egl):
 
 def test_opening_and_closing_leaves_nothing_behind(egl):
     model = bodies(100)
-    seen = []
-    for k in range(48):
-        with novaphy.ViewerGL(headless=True, **SIZE) as viewer:
-            viewer.set_model(model)
-            show(viewer, model.state())
-        if k % 4 == 3:
-            pages = int(Path("/proc/self/statm").read_text().split()[1])
-            seen.append((len(os.listdir("/proc/self/fd")), pages * os.sysconf("SC_PAGE_SIZE")))
-    descriptors, memory = zip(*seen, strict=True)
-    assert descriptors[-1] <= descriptors[0]
-    # The driver allocates and frees pieces of 16 MiB, so only the total of 20 openings shows a
-    # leak.
-    assert min(memory[8:]) - max(memory[:4]) < 20e6, memory
+
+    def growth() -> tuple[int, float]:
+        seen = []
+        for k in range(48):
+            with novaphy.ViewerGL(headless=True, **SIZE) as viewer:
+                viewer.set_model(model)
+                show(viewer, model.state())
+            if k % 4 == 3:
+                pages = int(Path("/proc/self/statm").read_text().split()[1])
+                seen.append((len(os.listdir("/proc/self/fd")), pages * os.sysconf("SC_PAGE_SIZE")))
+        descriptors, memory = zip(*seen, strict=True)
+        # The driver allocates and frees pieces of 16 MiB, so only the total of 20 openings shows
+        # a leak.
+        return descriptors[-1] - descriptors[0], min(memory[8:]) - max(memory[:4])
+
+    descriptors, memory = growth()
+    if memory >= 20e6:  # a leak grows again, the memory of another thread does not
+        memory = growth()[1]
+    assert descriptors <= 0
+    assert memory < 20e6
+    with novaphy.ViewerGL(headless=True, **SIZE) as viewer:
+        viewer.set_model(model)
     with pytest.raises(RuntimeError, match="closed"):
         viewer.get_frame()
 

@@ -44,7 +44,7 @@ constexpr size_t kLookForward = 8;
 // outputs until they are read.
 constexpr uint64_t kStreamedBytes = 32 << 20;
 constexpr int32_t kLine = 64;
-// The size of a Room. Only the pages that launches use take memory.
+// The size of a Room (below). Only the pages that launches use take memory.
 constexpr int64_t kRoomBytes = 4 << 20;
 
 }  // namespace

@@ -9,9 +9,10 @@
 
 namespace nova::ir {
 
-// The terms that a CSR loop adds for an item if no lane of a group takes the single region at its
-// end, as for a contact that does not touch. The terms are known when the text is written. The code
-// after the region can then be skipped as well.
+// A shortcut in the body of a loop over the items of a row of a sparse matrix. The body ends in one
+// conditional block (`region`), for example the force of a contact that touches. If no SIMD lane
+// enters the block, the item adds `terms`, constants that the emitter knows, and the rest of the
+// body is skipped.
 struct IdleItem {
   int32_t loop = -1, region = -1;
   std::vector<float> terms;  // constant term for each sum of the loop

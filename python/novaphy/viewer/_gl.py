@@ -105,12 +105,12 @@ class ViewerGL(SceneViewer):
         return int(width), int(height)
 
     def log_adjoint_record(self, record: AdjointRecord, length: float = 0.3) -> None:
-        """Add a plot of a gradient over time above the text, and arrows of its contacts.
+        """Add a plot of a gradient over time above the text, and arrows of the recorded contacts.
 
-        The plot shows the norm of the gradient, H, events and suspects. H is the gradient by the
-        state times the rate of the state, which smooth steps keep. Suspects are steps in which H
-        changes. A click selects a step and pauses: see selected_step. The times of frames must be
-        the times of the record (s).
+        The plot shows the norm of the gradient, H, contact events and suspects. H is the gradient
+        with respect to the state times the rate of the state. Smooth steps conserve H. Suspects
+        are steps in which H changes. A click selects a step and pauses: see selected_step. The
+        times of frames must be the times of the record (s).
 
         Args:
             record: the result of `tape.adjoint_record()`.

@@ -29,13 +29,13 @@ struct ConvexHull {
 // Computes the hull by Quickhull in double precision. The same points in the same order give the
 // same hull.
 //
-// Points that lie within 1e-6 of the extent of a face, or inside of the hull, are left out.
-// Duplicates therefore have no effect. A face within 0.1 degrees of a larger neighbor is merged
+// A point inside of the hull is left out, and so is a point whose distance from a face is at most
+// 1e-6 of the extent of all points. Duplicates therefore have no effect. A face within 0.1 degrees of a larger neighbor is merged
 // with the neighbor. A merge that would reduce the thickness of the hull by more than 1 % is
 // skipped.
 //
-// At most max_vertices (4 .. kMaxHullVertices) vertices are kept. The hull grows by the farthest
-// point at a time, and so a limited hull lies within the hull of all points (hull_of_all.h).
+// At most max_vertices (4 .. kMaxHullVertices) vertices are kept. Each step adds the point that is
+// farthest from the hull, so a limited hull lies within the hull of all points (hull_of_all.h).
 //
 // Source: Barber, Dobkin, Huhdanpaa, The Quickhull Algorithm for Convex Hulls (1996).
 //

@@ -115,7 +115,7 @@ void finish_step(const Arguments& a, const articulation::Tree<T>& tree,
   SpatialVector<T>* const body_qd = a.body_qd;
   articulation::finish_step(tree, in, options, ws, q, qd, body_q, body_qd);
 }
-// Writes qdd and the branches, which the adjoint needs.
+// Writes qdd and the branches of limits and clamps that the step took. The adjoint reads both.
 inline void write_rates(const ArticulationStepArguments& a, const ArticulationRows& rows,
                         const articulation::Workspace<float>& ws) {
   for (int32_t k = 0; k < rows.dof_count; ++k) {

@@ -7,16 +7,18 @@
 
 namespace novaphy {
 
-// Arguments of the step. A place is an entry of a group's list of contacts.
-//   step.status     per tree: also -1 - a contact with another group
-//   moved_by        per link: the dofs that move it, as bits
-//   most_isolated      largest number of contacts of an island that tree_contacts.h solves
-//   kept, now       contact impulses of the step before, from kept_begin on, and of this step by
-//                   place; kept_friction, now_friction: of dry friction {dofs}
-//   lanes           TreeSteps steps the trees marked `taken`
-//   continues       the step starts where the one before ended
-// Null without derivatives: impulses along n, t1, t2 and of dry friction, branches, `seen` by
-// place, and `seen` of the step before with the first row of each group.
+// Arguments of a step with contacts. A group is the set of trees of a world. A place is an index
+// into a group's list of contacts.
+//   step.status     per tree. If contact c links the tree to another group, -1 - c, an error
+//   moved_by        per link: a bit for each dof that moves the link
+//   most_isolated   largest number of contacts of an island that tree_contacts.h solves
+//   kept, now       warm start: the contact impulses of the step before (from kept_begin on), and
+//                   those of this step by place
+//   kept_friction, now_friction: the same for the impulses of dry friction {dofs}
+//   lanes           1: SIMD lanes of the CPU have solved the trees marked `taken`
+//   continues       1: the step starts in the state in which the step before ended
+// Only for derivatives, else null: impulses along n, t1 and t2, friction_impulses, notes (active
+// sets), and `seen` (geometry by place) with that of the step before.
 struct ArticulationContactStepArguments {
   NOVAPHY_ARGUMENTS(Part<ArticulationStepArguments> step; Part<ContactGroupArguments> of;
                     Optional<Given<int32_t>> point_id; Given<int32_t> moved_by;

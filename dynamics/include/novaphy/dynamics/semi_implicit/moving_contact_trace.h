@@ -97,8 +97,8 @@ struct ContactFeature {
   // For contacts with faces: whether the shape is a plane, whether its feature can touch planes or
   // faces of boxes, and whether the point is fixed to the shape.
   B is_plane{}, meets_planes{}, meets_faces{}, is_fixed{};
-  // A deepest point along a normal, which moves over the shape: its center, half axes, and the side
-  // of the normal.
+  // The feature is the deepest point of an ellipsoid, whose orientation is `turn`. direction: 1
+  // along the normal, -1 against the normal.
   B is_deepest{};
   Vec3<T> center{}, half_axes{};
   T direction{};

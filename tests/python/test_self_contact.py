@@ -284,3 +284,25 @@ def test_a_capture_is_refused_by_name():
         nova.ScopedCapture(),
     ):
         solver.step(state, after, None, None, 1 / 60)
+
+
+@pytest.mark.parametrize("other", ["searches", "lies far away"])
+def test_a_world_keeps_its_bits_whatever_another_world_does(other):
+    def end(*others):
+        builder = novaphy.ModelBuilder()
+        world = novaphy.ModelBuilder()
+        grid(world, pos=(0.01, 0, 0.3), cells=3, mass=2e-3)
+        grid(world, pos=(0.005, 0.02, 0.302), cells=1, cell=0.04, vel=(0, 0, -1), mass=2e-2)
+        for each in (world, *others):
+            builder.add_world(each)
+        rollout = Rollout(solver_of(model := finalized(builder), iterations=5), model)
+        for _ in range(6):
+            q = rollout.step(1 / 120, counts=False)
+        return q[:20]
+
+    beside = novaphy.ModelBuilder()
+    if other == "searches":
+        grid(beside, pos=(0, 0, 0.3), cells=4, vel=(0, 0, -1), mass=2e-2, fix_left=True)
+    else:
+        grid(beside, pos=(0, 0, 1000.0), cells=3)
+    assert (end(beside) == end()).all()

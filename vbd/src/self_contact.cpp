@@ -100,6 +100,10 @@ SelfContact::SelfContact(const Model& m, const ColorSlots& slots, const VbdSelfC
 
 SelfContact::Vec3d SelfContact::at(int32_t p) const { return wide(rows_.x[index(p)]); }
 
+size_t SelfContact::world_of(const SurfacePair& pair) const {
+  return index(world_[index(pair.particle[0])]);
+}
+
 void SelfContact::begin(const Rows& rows) {
   rows_ = rows;
   if (ended_.empty() || !std::equal(ended_.begin(), ended_.end(), rows.start.begin(),
@@ -114,14 +118,15 @@ void SelfContact::begin(const Rows& rows) {
            "; self-contact needs surfaces that do not cross");
     }
   }
-  float most = 0.0f;
+  slack_.assign(index(worlds_), kLeastSlack);
   for (const int32_t p : vertices_) {
     const Vec4f& v = rows.start[index(p)];
-    most = std::max({most, std::abs(v.x), std::abs(v.y), std::abs(v.z)});
+    double& slack = slack_[index(world_[index(p)])];
+    slack = std::max(
+        slack, 4.0 * 0x1p-23 * wide(std::max({std::abs(v.x), std::abs(v.y), std::abs(v.z)})));
   }
   next_ = apart_;
   is_balanced_ = has_others_;
-  slack_ = std::max(kLeastSlack, 4.0 * 0x1p-23 * wide(most));
   detections_.assign(index(worlds_), 1);
   std::fill(is_cut_.begin(), is_cut_.end(), 0);
   std::copy(rows.x.begin(), rows.x.end(), wish_.begin());
@@ -142,14 +147,14 @@ void SelfContact::begin(const Rows& rows) {
           narrow_row(wide(rows.start[index(p)]) + shift[index(world_[index(p)])]);
     origin_ = reference_;
     for (int32_t w = 0; w < worlds_; ++w) set_reach(w);
-    detect();
+    detect(std::vector<char>(index(worlds_), 1));
   };
   place();
   // The rounding of a displacement could bring sides together that are this near.
   bool is_near = false;
   for (const SurfacePair& pair : pairs_) {
-    if (wide(pair.distance) > slack_) continue;
-    shift[index(world_[index(pair.particle[0])])] = Vec3d{};
+    if (wide(pair.distance) > slack_[world_of(pair)]) continue;
+    shift[world_of(pair)] = Vec3d{};
     is_near = true;
   }
   if (is_near) place();
@@ -160,7 +165,7 @@ void SelfContact::begin(const Rows& rows) {
 // ErrorKind::Value: a pair has no direction from one side to the other.
 void SelfContact::check_apart() const {
   for (const SurfacePair& pair : pairs_) {
-    if (wide(pair.distance) > kTouching * slack_) continue;
+    if (wide(pair.distance) > kTouching * slack_[world_of(pair)]) continue;
     const auto& [p, a, b, c] = pair.particle;
     fail(ErrorKind::Value, "SolverVBD.step: state_in.particle_q: expected surfaces that are apart, ",
          "got 0 m between ", pair.has_edges ? "the edge of particles " : "particle ", p,

@@ -97,11 +97,12 @@ class SelfContact {
   };
 
   Vec3d at(int32_t p) const;
+  size_t world_of(const SurfacePair& pair) const;
   void check_apart() const;
   void set_reach(int32_t world);
   void set_planes(int32_t p);
   void place_again(std::span<const char> is_new);
-  void detect();
+  void detect(std::span<const char> is_new);
   Plane plane_between(const SurfacePair& pair) const;
   template <class Body>
   void for_particles(int64_t first_group, int64_t end_group, const Body& body) const;
@@ -128,7 +129,7 @@ class SelfContact {
   std::vector<geometry::Box3> regions_;      // of particles: boxes around origin_ and wish_
   std::vector<char> is_cut_, moves_freely_;  // flag of particles; flag of worlds
   std::vector<int> detections_;              // of worlds: count in this step
-  double slack_ = 0.0;                       // m: least distance to planes
+  std::vector<double> slack_;                // m, of worlds: least distance to planes
   std::vector<Plane> planes_;                // of pairs
   std::vector<Plane> planes_of_;             // of the items of pairs_of_, with the particle above
   std::vector<float> moved_;                 // of particles: distance from origin_ (m)

@@ -122,7 +122,7 @@ bool SelfContact::meets_obstacle(bool searches) {
     }
     for (int32_t w = 0; w < worlds_; ++w)
       if (is_far_[index(w)] != 0) set_reach(w);
-    detect();
+    detect(is_far_);
   }
   bool meets = false;
   for (const int32_t p : vertices_) {

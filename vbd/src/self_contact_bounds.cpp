@@ -29,12 +29,19 @@ void SelfContact::set_reach(int32_t world) {
   }
 }
 
-void SelfContact::detect() {
+// The pairs of a world have the same order in each search. Worlds without is_new[world] have the
+// same pairs as before, and keep their planes.
+void SelfContact::detect(std::span<const char> is_new) {
+  std::vector<std::vector<Plane>> kept(index(worlds_));
+  std::vector<size_t> used(index(worlds_), 0);
+  for (size_t k = 0; k < pairs_.size(); ++k)
+    if (const size_t w = world_of(pairs_[k]); is_new[w] == 0) kept[w].push_back(planes_[k]);
   pairs_ = surface_->find(origin_, reach_, regions_);
   planes_.resize(pairs_.size());
   corners_.clear();
   for (size_t k = 0; k < pairs_.size(); ++k) {
-    planes_[k] = plane_between(pairs_[k]);
+    const size_t w = world_of(pairs_[k]);
+    planes_[k] = is_new[w] == 0 ? kept[w][used[w]++] : plane_between(pairs_[k]);
     corners_.insert(corners_.end(), pairs_[k].particle.begin(), pairs_[k].particle.end());
   }
   pairs_of_.build(corners_, model_.particle_count());
@@ -51,7 +58,7 @@ void SelfContact::set_planes(int32_t p) {
   for (const int32_t item : pairs_of_.items(p)) {
     const size_t k = index(item / 4);
     const double side = pairs_[k].is_first(item % 4) ? 1.0 : -1.0;
-    *to = {planes_[k].normal * side, planes_[k].offset * side + slack_};
+    *to = {planes_[k].normal * side, planes_[k].offset * side + slack_[index(world_[index(p)])]};
     least = std::min(least, (to++)->height(x));
   }
   safe_[index(p)] = narrow(std::max(least, 0.0)) * 0.9999f;
@@ -184,7 +191,7 @@ void SelfContact::detect_again() {
       ++detections_[index(w)];
       set_reach(w);
     }
-    detect();
+    detect(is_due);
   }
   place_again(is_due);
   for (const int32_t p : vertices_) {

@@ -143,7 +143,7 @@ def certify(
         The Certificate. `Certificate.print()` prints the certificate as a table.
 
     Raises:
-        TypeError: theta is not float32, or f returns no Tensor.
+        TypeError: theta is a Tensor of another type than float32, or f returns no Tensor.
         ValueError: two calls of f with the same parameters differ, theta has no parameter, or the
             losses do not depend on theta by recorded operations.
         ValueError: sigma is not positive, not finite or of another shape.

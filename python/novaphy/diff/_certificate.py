@@ -159,13 +159,10 @@ def certify(
         at, seconds = _gradient(losses_of)
         code = losses_of.of_the_code()
         directions = _directions(at.gradients[0], seed)
-        found = _Measured(
-            at,
-            None if code is None else code.slopes(np.zeros((1, losses_of.parameters.size))),
-            directions,
-            *_differences(losses_of, directions),
-            *_samples(losses_of, worlds, seed, at, directions),
-        )
+        of_code = None if code is None else code.slopes(np.zeros((1, losses_of.parameters.size)))
+        differences, noise = _differences(losses_of, directions)
+        samples, w, events = _samples(losses_of, worlds, seed, at, directions)
+        found = _Measured(at, of_code, directions, differences, noise, samples, w, events)
     return _certificate(found, (perf_counter() - began) / seconds, seconds)
 
 

@@ -167,8 +167,9 @@ void SelfContact::check_apart() const {
   for (const SurfacePair& pair : pairs_) {
     if (wide(pair.distance) > kTouching * slack_[world_of(pair)]) continue;
     const auto& [p, a, b, c] = pair.particle;
-    fail(ErrorKind::Value, "SolverVBD.step: state_in.particle_q: expected surfaces that are apart, ",
-         "got 0 m between ", pair.has_edges ? "the edge of particles " : "particle ", p,
+    fail(ErrorKind::Value,
+         "SolverVBD.step: state_in.particle_q: expected surfaces that are apart, got 0 m between ",
+         pair.has_edges ? "the edge of particles " : "particle ", p,
          pair.has_edges ? " and " : " and the triangle of particles ", a,
          pair.has_edges ? " and that of particles " : ", ", b, " and ", c);
   }

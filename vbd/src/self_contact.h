@@ -139,9 +139,10 @@ class SelfContact {
   DeviceArray<int32_t> begins_;
   DeviceArray<float> numbers_;
   IndexRows pairs_of_, contacts_of_;  // of particles: 4 times the pair or contact, plus the corner
-  // Groups of components that touched (self_contact_balance.cpp). Of each component: the next one of
-  // its group, and whether its momentum is balanced. The last one of a group leads to itself. One
-  // more entry is for all that is not free. `apart_` and `has_others_` are those of the start.
+  // Groups of components that touched (self_contact_balance.cpp). next_: the next component of the
+  // group of each component; the last one leads to itself. is_balanced_: whether the momentum of a
+  // component is balanced. One more entry is for all particles that are not free. `apart_` and
+  // `has_others_` have the values of both at the start of a step.
   std::vector<int32_t> next_, apart_;
   std::vector<char> is_balanced_, has_others_;
   std::vector<Vec3d> shift_;  // m: of components

@@ -7,12 +7,11 @@ namespace {
 
 // Rows that a CPU thread takes at a time.
 constexpr int64_t kParticleRows = 512, kLaneRows = 64, kMatrixRows = 4096;
-constexpr int64_t kBlockThreads = 128;
 
 }  // namespace
 
 int64_t block_threads(int64_t groups, int64_t block_groups) {
-  return (groups + block_groups - 1) / block_groups * kBlockThreads;
+  return (groups + block_groups - 1) / block_groups * kBlockRows;
 }
 
 // Adds the launches that move all colors, one color after the other.

@@ -167,7 +167,7 @@ void IslandLanes::solve(const ArticulationContactStepArguments& a, int64_t trees
     });
   };
   for_islands([&](Island& i) {
-    start_joined(group_of(a, i.root), i.root, true);
+    start_coupled(group_of(a, i.root), i.root, true);
     a.of.nodes[i.root].solved = 1;
   });
   left_.resize(islands_.size());

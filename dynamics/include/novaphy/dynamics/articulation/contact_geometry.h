@@ -23,8 +23,8 @@ struct AdjointContact : IslandContact {
   ContactTurning turning{};
 };
 
-// Computes the spatial velocity of each link for three vectors of joint rates, after step_vjp_solve:
-// `w` for its solution lambda, `a_adjoint` for `rates`, the rates after the impulses, and `v` for
+// Computes the spatial velocity of each link for three vectors of joint rates, after
+// step_vjp_solve: `w` for its solution lambda, `a_adjoint` for `rates`, the rates after the impulses, and `v` for
 // qd.
 inline void set_contact_motions(const Tree<float>& tree, const float* rates, Workspace<float>& ws,
                                 const AdjointMemory<float>& memory) {

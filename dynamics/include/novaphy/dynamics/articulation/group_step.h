@@ -287,7 +287,7 @@ inline void complete_row(const GroupStep& s, articulation::IslandContact& row) {
 
 // Builds the rows of a coupled island, and starts from the impulses of the step before. `all`: also
 // completes the data of contacts that may not push.
-inline void start_joined(const GroupStep& s, int32_t root, bool all) {
+inline void start_coupled(const GroupStep& s, int32_t root, bool all) {
   const ContactGroupArguments& a = s.a;
   const IslandNode& node = a.nodes[root];
   articulation::IslandContact* const rows = rows_of(s, root);
@@ -312,7 +312,7 @@ inline void start_joined(const GroupStep& s, int32_t root, bool all) {
   });
 }
 
-// Solves any island. `swept`: the result of sweep_rates after start_joined; null: not called yet.
+// Solves any island. `swept`: the result of sweep_rates after start_coupled; null: not called yet.
 inline articulation::IslandResult solve_coupled(const GroupStep& s, int32_t root,
                                                const articulation::IslandResult* swept) {
   const ContactGroupArguments& a = s.a;
@@ -329,7 +329,7 @@ inline articulation::IslandResult solve_coupled(const GroupStep& s, int32_t root
     if (round == 0 && swept != nullptr) {
       result = *swept;
     } else {
-      start_joined(s, root, false);
+      start_coupled(s, root, false);
       result = articulation::sweep_rates(s.law.cone, static_cast<int32_t>(s.all.most_sweeps.value),
                                          s.all.tolerance.value, contacts, friction, complete);
     }

@@ -231,9 +231,11 @@ std::vector<std::vector<float>> run_piles(size_t first, size_t count, float tole
   for (size_t i = first; i < first + count; ++i) {
     ModelBuilder one;
     one.add_ground_plane({.cfg = surface});
-    for (int k = 0; k < (i % 3 == 2 ? 1 : 2); ++k)
-      one.add_shape_box(one.add_body({.xform = {{0, 0, 0.1f + 0.2f * k}, Quatf::identity()}}),
+    for (const float height : {0.1f, 0.3f}) {
+      if (i % 3 == 2 && height > 0.1f) continue;
+      one.add_shape_box(one.add_body({.xform = {{0, 0, height}, Quatf::identity()}}),
                         {.hx = 0.1f, .hy = 0.1f, .hz = 0.1f, .cfg = surface});
+    }
     one.add_shape_sphere(one.add_body({.xform = {{-0.2f, 0.03f, 0.09f}, Quatf::identity()}}),
                          {.radius = 0.09f, .cfg = surface});
     all.add_world(one);

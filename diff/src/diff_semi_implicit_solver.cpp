@@ -314,7 +314,8 @@ std::vector<ScratchSpec> DiffSemiImplicitSolver::step_scratch() const {
 
 bool DiffSemiImplicitSolver::step_writes_kept_memory() const {
   const ContactTables::Wanted wanted = wanted_tables();
-  return particles_.has_elements() || wanted.bodies || wanted.particles_on_bodies ||
+  return particles_.has_elements() || wanted.bodies ||
+         (moves_particles() && particles_.contacts_move()) ||
          (joints_ && joints_->act());
 }
 
@@ -340,9 +341,8 @@ void DiffSemiImplicitSolver::record_step(const SimState& in, SimState& out,
       check_overflow(*inputs.contacts);
     }
     ContactTables::Wanted wanted = wanted_tables();
-    // The search has just found the contacts in this state. Contacts of particles are frozen unless
-    // particles touch bodies.
-    wanted.particles_move = wanted.particles_on_bodies;
+    // The search has just found the contacts in this state.
+    wanted.particles_move = wanted.particles && particles_.contacts_move();
     inputs.tables->rebuild(*model(), *inputs.contacts, wanted);
   }
   const ContactTables& tables = inputs.tables != nullptr ? *inputs.tables : tables_;

@@ -75,7 +75,8 @@ NOVAPHY_ROW_KERNEL(note_soft_contacts, NoteSoftContactsArguments) {
   SeenContact& to = a.seen.now[row];
   to.first = s;
   to.second = ContactPair::kParticle + p;
-  to.held = a.follows != 0 || is_endless_plane(a.shape_type[s], a.shape_scale[s]) ? 0 : 1;
+  const bool follows = a.follows != 0 && is_followed_by_particles(a.shape_type[s]);
+  to.held = follows || is_endless_plane(a.shape_type[s], a.shape_scale[s]) ? 0 : 1;
   to.mode = soft_mode(math::dot(a.normal[row], a.q[p] - at.position) - reach, a.normal[row],
                       a.qd[p] - at.velocity, a.modes, p, s, a.slip.value);
 }

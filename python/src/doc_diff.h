@@ -95,7 +95,7 @@ or the last replay of a captured rollout or loop.
 The call reads the states and contacts of the steps. With checkpoints each step is read when it
 runs. A step has the label "frozen" if a contact pushes whose point and normal are frozen (see
 diff.rigid_contact_gradient_labels). Contacts of particles are frozen, unless the pipeline of a
-rollout finds them. The contacts of enable_static_contacts are exact, and count as events.)";
+rollout finds them on shapes other than hulls, meshes and finite planes. The contacts of enable_static_contacts are exact, and count as events.)";
 
 inline constexpr char kDiffSemiImplicit[] =
     R"(The differentiable form of SolverSemiImplicit, whose steps have the same bits. An active tape
@@ -103,8 +103,9 @@ records the kernels of a step.
 
 Gradients are exact for positions, velocities, forces, masses, radii, gravity, contact materials,
 activations, and for materials, rest lengths and rest angles of elements. Points and normals of
-contacts are frozen, with one exception: contacts between bodies are exact if collide found them
-from the state of the step. See diff.rigid_contact_gradient_labels.
+contacts are frozen, with two exceptions. Contacts between bodies are exact if collide found them
+from the state of the step (see diff.rigid_contact_gradient_labels). Contacts of particles are exact
+if the pipeline of a rollout finds them, but for hulls, meshes and finite planes.
 
 A step adds the forces of elements and contacts to state_in.particle_f. Call clear_forces() before
 state_in is used for another step.)";

@@ -142,17 +142,22 @@ def pressed(builder: novaphy.ModelBuilder) -> str:
     return tape.gradient_info().label
 
 
-def test_particles_on_a_curved_shape_of_a_world_without_bodies_are_frozen():
+def test_contacts_of_particles_follow_curved_shapes_and_not_meshes():
     labels = {}
-    for shape in ("sphere", "plane"):
+    for shape in ("sphere", "plane", "mesh", "finite plane"):
         builder = novaphy.ModelBuilder()
         builder.add_particle((0.1, 0.0, 0.08), (0.0, 0.0, -1.0), 1.0, radius=0.1)
         if shape == "sphere":
             builder.add_shape_sphere(-1, xform=((0, 0, -0.5), (0, 0, 0, 1)), radius=0.5)
+        elif shape == "mesh":
+            builder.add_shape_mesh(-1, mesh=novaphy.io.height_field(np.zeros((3, 3)), 1.0))
+        elif shape == "finite plane":
+            builder.add_shape_plane(width=2.0, length=2.0)
         else:
             builder.add_ground_plane()
         labels[shape] = pressed(builder)
-    assert labels == {"sphere": "frozen", "plane": "exact of the code"}
+    exact, frozen = "exact of the code", "frozen"
+    assert labels == {"sphere": exact, "plane": exact, "mesh": frozen, "finite plane": frozen}
 
 
 def test_values_of_a_new_state_are_leaves_before_a_solver_sees_them():

@@ -203,10 +203,12 @@ void ContactTables::rebuild_bodies(const Model& model, const Contacts& contacts,
     const size_t rows = is_wanted ? static_cast<size_t>(count) : 0;
     if (table.rows() != rows) table = DeviceArray<int32_t>(rows, model.device(), width);
   };
-  fit(soft_bodies_, wanted.particles && wanted.particles_on_bodies, contacts.soft_contact_max(), 1);
+  fit(soft_bodies_, wanted.particles && (wanted.particles_on_bodies || wanted.particles_move),
+      contacts.soft_contact_max(), 1);
   fit(rigid_bodies_, wanted.bodies, contacts.rigid_contact_max(), 2);
   find_contact_bodies(model, contacts, rigid_bodies_, soft_bodies_);
-  if (soft_bodies_.rows() > 0) sort(soft_bodies_, model.body_count(), slots_of_bodies_);
+  if (soft_bodies_.rows() > 0 && wanted.particles_on_bodies)
+    sort(soft_bodies_, model.body_count(), slots_of_bodies_);
   if (rigid_bodies_.rows() > 0) sort(rigid_bodies_, model.body_count(), sides_of_bodies_);
 }
 

@@ -19,12 +19,24 @@ Operand allocate(int64_t rows, int32_t width, Device device) {
   return {Storage::allocate(bytes, device)->range(), rows, width};
 }
 
+bool particles_may_meet_moving_points(const Model& model) {
+  if (particles_may_meet_bodies(model)) return true;
+  const std::vector<int32_t> type = model.shape_type.to_host(), flags = model.shape_flags.to_host();
+  for (size_t s = 0; s < type.size(); ++s)
+    if (has_flag(flags[s], ShapeFlags::COLLIDE_PARTICLES) &&
+        static_cast<GeoType>(type[s]) != GeoType::PLANE)
+      return true;
+  return false;
+}
+
 }  // namespace
 
 ParticleStep::ParticleStep(const Model& model, const ParticleStepOptions& options)
     : options_(options),
       elements_(model, options.elements),
-      meets_bodies_(options.contacts && particles_may_meet_bodies(model)) {
+      meets_bodies_(options.contacts && particles_may_meet_bodies(model)),
+      contacts_move_(options.contacts && model.particle_count() > 0 &&
+                     particles_may_meet_moving_points(model)) {
   rows_.update(model, options.static_contacts);
 }
 
@@ -40,11 +52,11 @@ void ParticleStep::add_contacts(const Model& model, const SimState& in, const Co
                                 const Operand& to) {
   const float rate = kf_rate(options_.kf_bound, dt);
   const Operand q = nova::operand_of(in.particle_q), qd = nova::operand_of(in.particle_qd);
-  touches_ = tables.slots_of_bodies() != nullptr;
-  if (!touches_) {
+  if (tables.soft_bodies().rows() == 0) {
     eval_soft_contact_forces(model, contacts, tables.slots_of_particles(), q, qd, f, rate, to);
     return;
   }
+  touches_ = meets_bodies_;
   if (forces_.rows != contacts.soft_contact_max()) {
     forces_ = allocate(contacts.soft_contact_max(), 3, model.device());
     wrenches_ = allocate(contacts.soft_contact_max(), 6, model.device());
@@ -56,7 +68,7 @@ void ParticleStep::add_contacts(const Model& model, const SimState& in, const Co
 
 std::vector<ScratchSpec> ParticleStep::scratch() const {
   // Memory for the forces with those of the elements, and for the sum with those of the contacts.
-  return {size_t{has_elements()} + size_t{meets_bodies_},
+  return {size_t{has_elements()} + size_t{contacts_move_},
           {DType::vec3, elements_.particle_count(), 1}};
 }
 
@@ -118,7 +130,7 @@ void ParticleStep::record(const Model& model, const SimState& in, SimState& out,
   if (options_.static_contacts) {
     step_particles_with_static_contacts(model, rows_, q, qd, f, rate,
                                         options_.static_contact_margin, inputs.dt, q_out, qd_out);
-  } else if (tables.slots_of_bodies()) {
+  } else if (tables.soft_bodies().rows() > 0) {
     const Operand total = nova::operand_of(scratch[has_elements() ? 1 : 0]);
     add_contacts(model, in, *inputs.contacts, tables, f, inputs.dt, total);
     integrate_particles(model, q, qd, total, inputs.dt, q_out, qd_out);

@@ -1,5 +1,5 @@
-// Finds which rigid contacts have moving contact points (moving_contact_trace.h), one contact row
-// per kernel row. Freestanding: shared by host and device kernels.
+// Finds which contacts have moving contact points (moving_contact_trace.h), one contact row per
+// kernel row. Freestanding: shared by host and device kernels.
 #pragma once
 
 #include "novaphy/collision/diff_soft_contact_trace.h"
@@ -11,6 +11,13 @@ namespace novaphy {
 
 inline bool is_endless_plane(int32_t type, const Vec3f& scale) {
   return type == static_cast<int32_t>(GeoType::PLANE) && !(scale.x > 0.0f && scale.y > 0.0f);
+}
+
+// Returns whether the derivative of a particle's contact point on a shape is exact everywhere. The
+// derivative on a hull, a mesh or a finite plane takes the face at the point for endless.
+inline bool is_followed_by_particles(int32_t type) {
+  const auto is = [&](GeoType wanted) { return type == static_cast<int32_t>(wanted); };
+  return !is(GeoType::PLANE) && !is(GeoType::MESH) && !is(GeoType::CONVEX_MESH);
 }
 
 // Arrays of contacts, of the model and of a state.

@@ -41,7 +41,7 @@ class NOVAPHY_DYNAMICS_API ContactTables {
     // Whether contacts of shapes were found from the state of the step, so that points and normals
     // move with the state. false: points and normals are frozen.
     bool of_this_state = true;
-    // The same for contacts of particles.
+    // The same for contacts of particles. The bodies of these contacts are found, too.
     bool particles_move = false;
   };
   // Updates the tables from the contacts, unless they are up to date. In a capture each replay

@@ -31,6 +31,9 @@ class NOVAPHY_DYNAMICS_API ParticleStep {
   const WorldRows& rows() const { return rows_; }
   bool has_elements() const { return !elements_.empty(); }
   bool meets_bodies() const { return meets_bodies_; }  // whether contacts may touch bodies
+  // Returns whether the normal of a contact may depend on the particle's position or a body's pose.
+  // The normals of planes of the world are constant.
+  bool contacts_move() const { return contacts_move_; }
   // Returns the arrays that `record` writes besides its outputs.
   std::vector<ScratchSpec> scratch() const;
   // Call this before the steps of a solver call: updates what all of these steps read. Messages
@@ -40,8 +43,8 @@ class NOVAPHY_DYNAMICS_API ParticleStep {
   // SolverSemiImplicit. `tables`: tables of the contacts.
   void run(const Model& model, SimState& in, SimState& out, const Control* control,
            const Contacts* contacts, const ContactTables& tables, float dt);
-  // Steps from `in` to `out`, and only reads in.particle_f. If no contact touches a body, contacts
-  // and integration are one kernel.
+  // Steps from `in` to `out`, and only reads in.particle_f. Contacts and integration are one kernel
+  // unless `tables` has the bodies of the contacts.
   void record(const Model& model, const SimState& in, SimState& out, const StepInputs& inputs,
               const ContactTables& tables, StepScratch scratch);
   // Returns the wrenches {slots, 6} of the last step's particle contacts on bodies. Null: no
@@ -54,8 +57,7 @@ class NOVAPHY_DYNAMICS_API ParticleStep {
   nova::Operand add_elements(const Model& model, const Control* control, const nova::Operand& q,
                              const nova::Operand& qd, const nova::Operand& f,
                              const nova::Operand& to);
-  // Computes `to` = f plus the forces of the contacts. For models in which contacts may touch
-  // bodies.
+  // Computes `to` = f plus the forces of the contacts.
   void add_contacts(const Model& model, const SimState& in, const Contacts& contacts,
                     const ContactTables& tables, const nova::Operand& f, float dt,
                     const nova::Operand& to);
@@ -63,7 +65,7 @@ class NOVAPHY_DYNAMICS_API ParticleStep {
   ParticleStepOptions options_;
   WorldRows rows_;  // for models with several worlds
   ElementOperators elements_;
-  bool meets_bodies_ = false, touches_ = false;
+  bool meets_bodies_ = false, contacts_move_ = false, touches_ = false;
   // The force of each contact on its particle and its wrench on its body. No adjoint reads them.
   nova::Operand forces_, wrenches_;
 };

@@ -220,6 +220,8 @@ std::string obj_for_assimp(const std::string& where, std::string_view bytes) {
     }
     line.erase(0, line.find_first_not_of(" \t"));
     if (!line.starts_with('v')) {
+      if (line.starts_with("f ") || line.starts_with("f\t"))
+        line.resize(std::min(line.find('#'), line.size()));
       if (!line.starts_with("mtllib")) text.append(line).push_back('\n');
       continue;
     }

@@ -205,7 +205,7 @@ TEST_F(LoadMesh, EveryVertexOfAnObjFileCounts) {
        {"\xEF\xBB\xBFv .5 0 0\n  v 1 0 0\n\tv 0 2 0\n  f 1 2 3\n"s,      // set in
         "v .5 0 0 .1 .2 .3\nv 1 0 0 1 1 1 .5\nv 0 1 0 0.5\nf 1 2 3\n"s,  // colors, w
         "mtllib none.mtl\nvt .5\nvn .5 .5 .5\nv .5 0 0\nv 1 0 0 # 4\nv 0 2 0\n"
-        "f 1/1/1 2/1/1 3/1/1\n"s,
+        "f 1/1/1 2/1/1 3/1/1 # 4\n"s,
         "v .5 0 \\\n0\nv 1 0 0\nv 0 2 0\nf 1 2 \\\n3\n"s,  // continued lines
         "v .5 0 0\rv 1 0 0\rv 0 2 0\rf 1 2 3\r"s,
         "v .5 0 0\r\nv 1 0 0\r\nv 0 2 0\r\nf 1 2 3\r\n"s}) {

@@ -437,6 +437,33 @@ def test_packages_are_where_ros_has_them(tmp_path, monkeypatch, variable):
         assert loaded(file)[0].shape_count == 1
 
 
+def test_a_package_may_lie_deeper_below_the_path_of_ros(tmp_path, monkeypatch):
+    package = tmp_path / "src" / "stack" / "folder"
+    (package / "m").mkdir(parents=True)
+    (package / "package.xml").write_text("<package format='3'><name>\n deep </name></package>")
+    (package / "m" / "t.obj").write_text(TETRAHEDRON)
+    inner = package / "other" / "package.xml"  # not searched, because packages do not nest
+    inner.parent.mkdir()
+    inner.write_text("<package><name>inner</name></package>")
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path))
+    text = robot(link("a", INERTIAL + '<collision><geometry><mesh filename="{}"/></geometry>'
+                      "</collision>"))  # fmt: skip
+    assert loaded(text.format("package://deep//m/t.obj"))[0].shape_count == 1
+    with pytest.raises(ValueError, match="there is no package://inner/t.obj"):
+        loaded(text.format("package://inner/t.obj"))
+    with pytest.raises(ValueError, match="expected a file inside of its package"):
+        loaded(text.format("package://deep/../folder2/../../stack/folder/../x/../../stack"))
+
+
+def test_a_shape_of_an_unknown_kind_that_is_only_seen_is_left_out():
+    plane = '<geometry><plane normal="0 0 1"/></geometry>'
+    with pytest.warns(UserWarning, match="<plane>: left out: a shape other than <box>"):
+        model, _, _ = loaded(robot(link("a", INERTIAL + f"<visual>{plane}</visual>")))
+    assert model.shape_count == 0
+    with pytest.raises(NotImplementedError, match="a shape other than <box>"):
+        loaded(robot(link("a", INERTIAL + f"<collision>{plane}</collision>")))
+
+
 def test_a_mesh_that_is_only_seen_may_be_missing():
     mesh = '<geometry><mesh filename="nothing.obj"/></geometry>'
     text = robot(link("a", INERTIAL + f"<visual>{mesh}</visual>"))

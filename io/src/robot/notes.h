@@ -16,8 +16,8 @@ class Notes {
   void ignored(const Element& e, std::string text) {
     report_.ignored.push_back(file_.note(e, std::move(text)));
   }
-  // Notes an element that is left out because its file is missing, although the element is
-  // supported. Only the display needs the file.
+  // Notes an element that only the display needs and that is left out, because its file is missing
+  // or its kind is not read.
   void missing(const Element& e, std::string text) {
     report_.left_out.push_back(file_.note(e, std::move(text)));
   }

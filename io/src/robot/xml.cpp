@@ -48,7 +48,39 @@ bool is_package(const fs::path& folder, std::string_view name) {
   std::string text(size_t{64} << 10, '\0');
   file.read(text.data(), static_cast<std::streamsize>(text.size()));
   text.resize(static_cast<size_t>(file.gcount()));
-  return text.find("<name>" + std::string(name) + "</name>") != std::string::npos;
+  constexpr std::string_view kBegin = "<name>";
+  for (size_t at = text.find(kBegin); at != std::string::npos; at = text.find(kBegin, at)) {
+    at += kBegin.size();
+    std::string_view found = std::string_view(text).substr(at);
+    found = found.substr(0, found.find('<'));
+    while (!found.empty() && is_space(found.front())) found.remove_prefix(1);
+    while (!found.empty() && is_space(found.back())) found.remove_suffix(1);
+    if (found == name) return true;
+  }
+  return false;
+}
+
+// Returns the folder of a package below the folders of ROS_PACKAGE_PATH, or an empty path. As
+// rospack does, the search does not look inside of packages.
+fs::path crawl_ros_packages(std::string_view name) {
+  constexpr int kDeepestPackage = 6;
+  std::vector<fs::path> found;
+  for (const fs::path& root : listed("ROS_PACKAGE_PATH")) {
+    std::error_code error;
+    fs::recursive_directory_iterator at(root, fs::directory_options::skip_permission_denied, error);
+    for (; !error && at != fs::recursive_directory_iterator(); at.increment(error)) {
+      std::error_code none;
+      if (!at->is_directory(none)) continue;
+      const fs::path& folder = at->path();
+      const bool is_any_package = fs::exists(folder / "package.xml", none);
+      if (is_any_package && is_package(folder, name)) found.push_back(folder);
+      if (is_any_package || at.depth() >= kDeepestPackage ||
+          folder.filename().string().starts_with('.'))
+        at.disable_recursion_pending();
+    }
+    if (!found.empty()) return *std::min_element(found.begin(), found.end());
+  }
+  return {};
 }
 
 // Returns the folders that may contain a package, the most likely first: `package_dirs`, the
@@ -85,18 +117,22 @@ fs::path in_packages(const std::string& where, std::string_view file, const fs::
     return resolved(folder / path);
   require(slash != std::string_view::npos && slash > 0 && slash + 1 < path.size(), ErrorKind::Value,
           where, ": expected package://NAME/FILE, got ", file);
-  const std::string_view package = path.substr(0, slash), rest = path.substr(slash + 1);
+  const std::string_view package = path.substr(0, slash);
+  std::string_view rest = path.substr(slash + 1);
+  rest.remove_prefix(std::min(rest.find_first_not_of('/'), rest.size()));
   require(package != "." && package != "..", ErrorKind::Value, where,
           ": expected a file inside of its package, got ", file);
-  const std::vector<fs::path> roots = package_roots(package, folder, package_dirs);
-  for (const fs::path& root : roots) {
+  const auto in = [&](const fs::path& root) -> fs::path {
     const fs::path found = resolved(root / rest);
     std::error_code error;
-    if (!fs::exists(found, error)) continue;
+    if (root.empty() || !fs::exists(found, error)) return {};
     require(is_inside(found, resolved(root)), ErrorKind::Value, where,
             ": expected a file inside of its package, got ", file);
     return found;
-  }
+  };
+  for (const fs::path& root : package_roots(package, folder, package_dirs))
+    if (const fs::path found = in(root); !found.empty()) return found;
+  if (const fs::path found = in(crawl_ros_packages(package)); !found.empty()) return found;
   std::string folders;
   for (const fs::path& each : package_dirs) folders += " " + each.string();
   fail(ErrorKind::Value, where, ": there is no ", file,

@@ -1,6 +1,8 @@
 #include "urdf_mend.h"
 
 #include <algorithm>
+#include <charconv>
+#include <cmath>
 
 namespace novaphy::detail {
 namespace {
@@ -140,7 +142,7 @@ class Mender {
   }
 
   void mend_shape(Element& e) {
-    keep_first(e, {"origin", "material"});
+    keep_first(e, {"origin", "material", "geometry"});
     if (Element* material = e.FirstChildElement("material")) mend_material(*material, false);
     Element* const geometry = e.FirstChildElement("geometry");
     if (geometry == nullptr || geometry->FirstChildElement() == nullptr)
@@ -155,8 +157,12 @@ class Mender {
       mended_.capsules.insert(&shape);
     }
     if (kind != "box" && kind != "cylinder" && kind != "sphere" && kind != "mesh") {
-      notes_.left_out(shape,
-                      "a shape other than <box>, <cylinder>, <sphere>, <capsule> and <mesh>");
+      constexpr const char* kWhat =
+          "a shape other than <box>, <cylinder>, <sphere>, <capsule> and <mesh>";
+      if (std::string_view(e.Name()) == "visual")
+        notes_.missing(shape, kWhat);
+      else
+        notes_.left_out(shape, kWhat);
       return drop(e);
     }
     const auto is_empty = [&](const char* name, size_t count, bool all) {
@@ -172,6 +178,15 @@ class Mender {
         (kind == "cylinder" && (is_empty("radius", 1, true) || is_empty("length", 1, true))) ||
         (kind == "mesh" && is_empty("scale", 3, false)))
       drop(e, "a shape of size 0: it is left out");
+  }
+
+  // Returns whether a text is an infinite number, or a number that float32 cannot hold.
+  static bool is_beyond_numbers(const char* text) {
+    if (text == nullptr) return false;
+    const std::string_view given = text;
+    long double value = 0.0L;
+    const auto parsed = std::from_chars(given.data(), given.data() + given.size(), value);
+    return parsed.ptr == given.data() + given.size() && std::abs(value) > 1e30L;
   }
 
   void mend_joint(Element& e) {
@@ -208,6 +223,12 @@ class Mender {
       }
     if (!is_whole && !is_new)
       notes_.mended(*limit, "effort, velocity: what is missing has no limit");
+    for (const auto& [attribute, instead] :
+         {std::pair{"lower", open[0]}, {"upper", open[1]}, {"effort", "1e6"}, {"velocity", "1e6"}})
+      if (is_beyond_numbers(limit->Attribute(attribute))) {
+        limit->SetAttribute(attribute, instead);
+        notes_.mended(*limit, std::string(attribute) + ": a number this large is no limit");
+      }
     double lower[1] = {0.0}, upper[1] = {0.0};
     file_.numbers(*limit, "lower", lower);
     file_.numbers(*limit, "upper", upper);

@@ -16,6 +16,7 @@ DT = 1 / 960
 SURFACE = novaphy.ShapeConfig(ke=1e4, kd=300.0, kf=500.0, mu=0.5)
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 TURNED = tuple(np.float32([0.1, -0.2, 0.3, 0.9]) / np.linalg.norm([0.1, -0.2, 0.3, 0.9]))
+LYING = (0.0, float(np.sqrt(0.5)), 0.0, float(np.sqrt(0.5)))
 NEARLY_UP = (0.02, 0.01, 0.3, np.sqrt(1 - 0.0905))
 AT_REST = (0.0,) * 6
 
@@ -29,7 +30,8 @@ def add_shape(builder, body, shape, cfg):
         corners = [[x, y, z] for x in (-0.05, 0.07) for y in (-0.06, 0.05) for z in (-0.1, 0.1)]
         builder.add_shape_convex_hull(body, vertices=np.float32(corners), cfg=cfg)
     else:
-        builder.add_shape_capsule(body, radius=0.06, half_height=0.15, cfg=cfg)
+        half = 0.05 if shape == "short capsule" else 0.15
+        builder.add_shape_capsule(body, radius=0.06, half_height=half, cfg=cfg)
 
 
 def make_model(*bodies, ground=True, gravity=(0, 0, -9.81), surface=SURFACE):
@@ -165,6 +167,10 @@ TWO_BODIES = {
         ("box", (0, 0, 0.3, *NEARLY_UP), (0.1, 0.2, 0.1, 0.3, 0.2, -0.1)),
         ("capsule", (0.02, 0.01, 0.58, 0.2, 0.1, 0, 0.9747), (-0.4, 0.1, -0.3, 1.0, 0, 0.5)),
     ],
+    "a capsule flat on a box": [
+        ("box", (0, 0, 0.3, *IDENTITY), (0.1, 0.2, 0.1, 0.3, 0.2, -0.1)),
+        ("short capsule", (0.01, 0.02, 0.45, *LYING), (-0.4, 0.1, -0.3, 0.1, 0.2, 0.5)),
+    ],
     "a capsule across an edge of a box": [
         ("box", (0, 0, 0.3, *IDENTITY), (0.1, 0.2, 0.1, 0.3, 0.2, -0.1)),
         (
@@ -237,9 +243,8 @@ def test_of_two_bodies_the_gradient_is_that_of_contacts_found_anew(name):
     np.testing.assert_allclose(got, (ahead + behind) / 2, rtol=2e-3, atol=1e-3 * largest)
 
 
-LYING = (0.0, float(np.sqrt(0.5)), 0.0, float(np.sqrt(0.5)))
 COINCIDING = {
-    "a capsule flat on a box": (
+    "a capsule flat over edges of a box": (
         ("box", ((0, 0, 0.5), IDENTITY), AT_REST),
         ("capsule", ((0.01, 0.02, 0.65), LYING), (0.1, 0.2, -0.3, 0.1, 0.2, 0.3)),
     ),

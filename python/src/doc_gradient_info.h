@@ -25,6 +25,7 @@ next: a contact begins or ceases to push, or changes between sticking and slippi
 residual: the largest residual of a step, relative to the largest impulse (1).
 
 A gradient that is "exact of the code" does not move events in time. With events it may differ from
-the gradient of the motion, even in sign. Solvers add further fields.)";
+the gradient of the motion, even in sign. A joint that meets its limit and a rope or a DISTANCE joint
+that becomes taut have the same effect, but are no events here. Solvers add further fields.)";
 
 }  // namespace novaphy::python::doc

@@ -386,6 +386,41 @@ def gather_kernel():
     )
 
 
+@pytest.mark.parametrize("order", [0, 1, "mixed"])
+def test_smoothed_gradients_have_the_bits_of_the_cpu(order):
+    found = []
+    for device in ("cpu", "cuda:0"):
+        weights = nova.tensor([1.0, 2.0, 3.0], device=device)
+        theta = nova.tensor([0.1, 0.2, 0.3], device=device, requires_grad=True)
+
+        def losses(x, weights=weights):
+            return nova.sum(x * x * weights, -1)
+
+        with nova.Tape() as tape:
+            loss = diff.smoothed(losses, theta, 0.1, order=order)
+            tape.backward(loss)
+        plain = diff.smoothed(losses, theta, 0.1)
+        assert {str(x.device) for x in (loss, plain, theta.grad)} == {device}
+        found.append((loss.numpy(), theta.grad.numpy(), plain.numpy()))
+    for on_cpu, on_device in zip(*found, strict=True):
+        assert_same_bits(on_device, on_cpu)
+
+
+def test_a_certificate_has_the_verdict_of_the_cpu():
+    """The entries of theta lie on two devices."""
+    theta = {
+        "a": nova.tensor([0.1, 0.2], device="cuda:0"),
+        "b": nova.tensor([0.3], device="cpu"),
+    }
+
+    def losses(x):
+        return nova.sum(x["a"] * x["a"], -1).to("cpu") + nova.sum(x["b"] * x["b"], -1)
+
+    found = diff.certify(losses, theta, 0.1)
+    assert found.verdict == "of the motion"
+    assert np.allclose(found.gradient, [0.02, 0.04, 0.06])
+
+
 def test_a_read_past_the_end_names_the_kernel_the_row_and_the_source():
     kernel = gather_kernel()
     value = nova.tensor(np.float32([1, 2, 3]), device="cuda:0")

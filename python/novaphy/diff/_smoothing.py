@@ -36,6 +36,8 @@ class Estimate(NamedTuple):
 
 def check_worlds(user: str, worlds: int, antithetic: bool = True) -> None:
     """Raise ValueError if there are too few samples, or an odd number of antithetic samples."""
+    if not isinstance(worlds, int | np.integer):
+        raise TypeError(f"{user}, worlds: expected an integer, got {type(worlds).__name__}")
     least, what = (4, "an even number") if antithetic else (2, "a number")
     if worlds < least or (antithetic and worlds % 2):
         raise ValueError(f"{user}, worlds: expected {what} >= {least}, got {worlds}")
@@ -175,7 +177,7 @@ def smoothed(
             and "tail" (length of the longest sample gradient in median lengths).
 
     Returns:
-        A Tensor with one value, float32.
+        A Tensor with one value, float32, on the device of theta's first entry.
 
     Raises:
         TypeError: theta is not float32, or f returns no Tensor.
@@ -198,7 +200,7 @@ def smoothed(
             info.update(found.told(parameters))
         if on_tape:
             return _linear_model(parameters, value, found.gradient / parameters.sigma)
-    return tensor([value])
+    return tensor([value], device=next(iter(parameters.tensors.values())).device)
 
 
 def _sample(losses_of: Losses, w: Numbers, order: int | str) -> tuple[Numbers, Numbers | None]:

@@ -53,6 +53,11 @@ def buried(theta: nova.Tensor) -> nova.Tensor:
     return 1e6 + nova.sum(theta.detach() * 0.45 - theta * 0.15, axis=-1)
 
 
+def drowned(theta: nova.Tensor) -> nova.Tensor:
+    """A slope that rounding takes away: all losses are 1."""
+    return nova.sum(theta, axis=-1) * 1e-9 + 1.0
+
+
 def reversed_part(theta: nova.Tensor, size: float) -> nova.Tensor:
     """The slopes 10 and `size`; the gradient says 10 and -size."""
     x, y = theta[:, 0], theta[:, 1]
@@ -86,6 +91,7 @@ def test_slopes_across_the_gradient_are_no_components_of_wrong_sign() -> None:
         (ripples, [0.01, 0.02], "local", "tiny moves"),
         (logistic, [0.2, 0.1], "chaotic", "median lengths|do not settle"),
         (buried, [1.0], "biased", "slope of the samples"),
+        (drowned, [1.0], "chaotic", "rounding of the loss hides its slope"),
         (out_of_reach, [0.1, 0.2], "zero", "reaches nothing"),
     ],
 )
@@ -180,8 +186,40 @@ def test_the_cause_of_a_rough_loss_is_named() -> None:
     assert verdict == "chaotic" and "two events are 2 steps apart" in sentence
     assert "0.1 sigma moves contacts by 0.5 steps" in sentence
     assert "a penalty contact pushes for 6.3 steps only" in sentence
+    springs = SimpleNamespace(**{**vars(info), "steps_per_contact": 18.0})
+    springs.event_list = [{"kind": "spring"}]
+    assert 'penalty_law="mean" removes' in judge(of._replace(info=springs))[1]
     assert "40 median lengths" in judge(of._replace(tail=40.0, info=None, shift=None))[1]
     assert judge(of._replace(info=None, shift=None))[1].endswith("0.3 sigma do not settle.")
+
+
+def test_rough_samples_accuse_a_gradient_only_beyond_their_error() -> None:
+    """The samples have another slope by 26 % of the gradient, with an error of 9 % or 2 %."""
+    from novaphy.diff._verdict import Evidence, judge
+
+    one, apart = np.ones(1), np.float64([0.74])
+    differences = np.float64([[1], [2], [-3], [9]])
+    of = Evidence(
+        one, differences, np.zeros(4), 2.0, None, None, one, apart, np.float64([0.09]), apart
+    )
+    assert judge(of)[0] == "chaotic"
+    assert judge(of._replace(error=np.float64([0.02])))[0] == "biased"
+
+
+def test_differences_that_agree_by_chance_accuse_no_gradient_that_samples_support() -> None:
+    """A cloth on the ground whose loss is rough: the numbers of its three parameters."""
+    from novaphy.diff._verdict import Evidence, judge
+
+    slopes, sampled = np.float64([[0.082, -0.048, 0.008], [0.076, -0.042, 0.017]])
+    differences = np.tile([0.082, -0.048, -0.048], (4, 1))
+    differences[[0, 3], 2] = 0.033, 0.362
+    error = np.full(3, 0.008)
+    of = Evidence(
+        slopes, differences, np.zeros(4), 1.0, None, None, slopes, sampled, error, sampled
+    )
+    assert judge(of)[0] == "chaotic"
+    other = of._replace(sampled=differences[1], smoothed=differences[1])
+    assert judge(other)[0] == "biased"
 
 
 @pytest.mark.parametrize(
@@ -291,6 +329,10 @@ def test_the_order_of_two_impacts_limits_the_trust() -> None:
     moved = [events(0.4 + 0.004), events(0.4 - 0.004)]
     found = trust(events(0.4), moved, 0.1, np.array([1.0]))
     assert abs(found.radius - 5.0) < 1e-9 and "order with the next event" in found.limited_by
+    # A contact that pushes from the start on has no time.
+    first = {**events(0.4)[0], "step": 0, "time": -np.inf, "approach": 0.0}
+    found = trust([first, *events(0.4)], [[first, *rows] for rows in moved], 0.1, np.ones(1))
+    assert abs(found.radius - 5.0) < 1e-9 and abs(found.shift - 4.0) < 1e-9
     moved[1] = moved[1][:1]
     found = trust(events(0.4), moved, 0.1, np.array([1.0]))
     assert found.radius == 0.1 and "number or order of events" in found.limited_by
@@ -332,13 +374,37 @@ def test_bad_arguments_are_named(change, message) -> None:
         diff.certify(**arguments)
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"f": None}, "f: expected a function, got NoneType"),
+        ({"f": lambda theta: 3.0}, "f: expected a Tensor of losses, got float"),
+        ({"theta": "x"}, "theta: expected numbers, got 'x'"),
+        ({"sigma": "a"}, "sigma: expected numbers, got 'a'"),
+        ({"worlds": 4.0}, "worlds: expected an integer, got float"),
+    ],
+)
+def test_arguments_of_other_types_are_named(change, message) -> None:
+    arguments = {"f": bowl, "theta": np.zeros(3), "sigma": 0.1, **change}
+    with pytest.raises(TypeError, match=f"certify, {message}"):
+        diff.certify(**arguments)
+
+
 def test_a_function_that_changes_is_refused_with_both_values() -> None:
     calls = iter(range(100))
 
     def drifts(theta: nova.Tensor) -> nova.Tensor:
         return bowl(theta) + float(next(calls))
 
-    with pytest.raises(ValueError, match=r"expected the same loss .* got 3\.0 and then 4\.0"):
+    with pytest.raises(ValueError, match=r"expected the same loss .* got 3\.0 and then 6\.0"):
         diff.certify(drifts, [1.0, 1.0, 1.0], 0.1)
+    later = iter(range(100))
+
+    def turns(theta: nova.Tensor) -> nova.Tensor:
+        """Change after the gradient and the differences."""
+        return nova.sum(theta, axis=-1) * (1.0 if next(later) < 2 else -1.0)
+
+    with pytest.raises(ValueError, match=r"expected the same loss .* got 2\.0 and then -2\.0"):
+        diff.certify(turns, [1.0, 1.0], 0.1)
     with nova.no_grad(), pytest.raises(ValueError, match="a call outside of no_grad"):
         diff.certify(bowl, [1.0], 0.1)

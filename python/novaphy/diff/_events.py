@@ -68,16 +68,21 @@ def by_world(events: list[Event], worlds: int) -> list[list[Event]]:
     return rows
 
 
+def _with_times(events: list[Event]) -> list[Event]:
+    return [event for event in events if np.isfinite(event["time"])]
+
+
 def trust(base: list[Event], moved: list[list[Event]], step: float, downhill: Numbers) -> Trust:
     """Return how far the parameters may move until the events of a motion change.
 
     Args:
-        base: the events of the motion.
+        base: the events of the motion. Contacts from the start on have no time, and do not count.
         moved: the events of worlds that are moved by +step and -step along direction 0, then along
             direction 1, and so on.
         step: the size of the moves (sigmas).
         downhill: the components {directions} of the unit vector against the gradient.
     """
+    base, moved = _with_times(base), [_with_times(events) for events in moved]
     signature, changes = _signature(base), []
     slopes = np.full((len(moved) // 2, 2, len(base)), np.nan)  # of time and approach speed
     for k in range(len(moved) // 2):

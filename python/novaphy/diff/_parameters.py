@@ -80,7 +80,7 @@ class Parameters:
 
     def _tensor(self, name: str, entry: Tensor | ArrayLike) -> Tensor:
         if not isinstance(entry, Tensor):
-            entry = tensor(np.asarray(entry, np.float32))
+            entry = tensor(self._array(self._label(name), entry, np.float32))
         if entry.dtype.name != "float32":
             raise TypeError(f"{self._label(name)}: expected float32, got {entry.dtype.name}")
         if self.named:
@@ -91,6 +91,13 @@ class Parameters:
             raise ValueError(f"{self._label(name)}: expected {{n}} or {{1, n}}, got {entry.shape}")
         return entry
 
+    @staticmethod
+    def _array(label: str, given: Any, dtype: Any) -> NDArray[Any]:
+        try:
+            return np.asarray(given, dtype)
+        except (TypeError, ValueError):
+            raise TypeError(f"{label}: expected numbers, got {given!r}") from None
+
     def _deviations(self, sigma: Sigma) -> Numbers:
         """Return sigma of each parameter."""
         user, shapes = self.user, self.shapes
@@ -100,9 +107,12 @@ class Parameters:
                     f"{user}, sigma: expected the entries {list(shapes)}, as theta, got "
                     f"{list(sigma)}"
                 )
-            given = {name: np.asarray(sigma[name], np.float64) for name in shapes}
+            given = {
+                name: self._array(f"{user}, sigma[{name!r}]", sigma[name], np.float64)
+                for name in shapes
+            }
         else:
-            one = np.asarray(sigma, np.float64)
+            one = self._array(f"{user}, sigma", sigma, np.float64)
             if self.named and one.ndim > 0:
                 raise ValueError(f"{user}, sigma: expected a number or a dict, got {one.shape}")
             given = dict.fromkeys(shapes, one)
@@ -159,6 +169,8 @@ class Losses:
     def __init__(self, f: Function, parameters: Parameters, batch: int | None = None) -> None:
         if batch is not None and batch < 1:
             raise ValueError(f"{parameters.user}, batch: expected a number >= 1, got {batch}")
+        if not callable(f):
+            raise TypeError(f"{parameters.user}, f: expected a function, got {type(f).__name__}")
         self.f, self.parameters, self.batch = f, parameters, batch
         self.user = parameters.user
 

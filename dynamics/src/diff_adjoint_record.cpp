@@ -6,6 +6,7 @@
 #include "novaphy/core/error.h"
 #include "novaphy/dynamics/diff_gradient_notes.h"
 #include "novaphy/dynamics/semi_implicit/diff_noted_springs.h"
+#include "novaphy/nova/op_list.h"
 
 namespace novaphy {
 namespace {
@@ -68,6 +69,8 @@ AdjointRecord::Scope::Scope(AdjointRecord& record) { current_record = &record; }
 AdjointRecord::Scope::~Scope() { current_record = nullptr; }
 
 void backward_with_record(nova::Tape& tape, const nova::Tensor& loss, const nova::Tensor& seed) {
+  require(!nova::current_capture(), ErrorKind::NotImplemented,
+          "backward, record: not supported inside a ScopedCapture");
   bool has_steps = false;
   for (const auto& witness : tape.witnesses()) {
     const auto* const of = dynamic_cast<const GradientWitness*>(witness.get());
@@ -76,13 +79,13 @@ void backward_with_record(nova::Tape& tape, const nova::Tensor& loss, const nova
     const char* const solver = of->without_record();
     require(solver == nullptr, ErrorKind::NotImplemented,
             "backward, record: not supported with steps of ", solver == nullptr ? "" : solver,
-            ", only of DiffFeatherstoneSolver, and of DiffSemiImplicitSolver for bodies with the "
-            "contacts of a pipeline, on the CPU");
+            ", only of DiffFeatherstoneSolver, of DiffSolverVBD, and of DiffSemiImplicitSolver for "
+            "bodies with the contacts of a pipeline, on the CPU");
     of->begin_record();
   }
   require(has_steps, ErrorKind::Runtime,
-          "backward, record: expected steps of DiffFeatherstoneSolver or DiffSemiImplicitSolver on "
-          "the tape, got none");
+          "backward, record: expected steps of DiffFeatherstoneSolver, DiffSemiImplicitSolver or "
+          "DiffSolverVBD on the tape, got none");
   AdjointRecord record;
   record.loss = loss;
   for (const nova::Tensor& leaf : tape.leaves())

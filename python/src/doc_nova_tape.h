@@ -20,9 +20,9 @@ grad: the gradient of `loss`, of its shape. None: 1, for a loss with one value.
 record: keep what adjoint_record() returns. The record needs memory for each step.
 
 ValueError: a loss that is not on the tape, or of several values without `grad`.
-NotImplementedError: `record` with steps of DiffSolverVBD, of particles, of enable_static_contacts,
-of penalty_law "mean", with checkpoints of DiffSemiImplicitSolver, on a device, or inside of a
-ScopedCapture.
+NotImplementedError: `record` on a device, inside of a ScopedCapture, with checkpoints of
+DiffSemiImplicitSolver or DiffSolverVBD, or with DiffSemiImplicitSolver and particles,
+enable_static_contacts or penalty_law "mean".
 `novaphy.Error`: `record` without steps of a solver.)";
 
 inline constexpr char kAdjointRecord[] =
@@ -31,7 +31,7 @@ boundary, and for each contact its impulse and the derivative of the loss by the
 
 The record also has the change of each impulse when the inputs move by a unit vector against the
 gradient of the loss. For these changes the call runs one jvp, or a jvp for each pair of penalty
-contacts.
+contacts. All particles of DiffSolverVBD that touch one shape are one pair.
 
 inputs: leaves of the tape. None: all leaves that have a gradient.
 

@@ -7,6 +7,7 @@
 #include "diff_vbd_step.h"
 #include "element_arrays.h"
 #include "novaphy/core/error.h"
+#include "novaphy/dynamics/semi_implicit/diff_body_step.h"
 #include "novaphy/nova/kernel.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/tape.h"
@@ -154,7 +155,11 @@ struct DiffSolverVBD::Witness : GradientWitness {
   GradientInfo info() const override {
     return info_of(notes.counts(*model), steps->info(), implicit);
   }
-  const char* without_record() const override { return "DiffSolverVBD"; }
+  const char* without_record() const override {
+    if (!is_on_host(*model)) return "DiffSolverVBD on a device";
+    const bool all_kept = !notes.chain().empty() || notes.counts(*model).steps == 0;
+    return all_kept ? nullptr : "DiffSolverVBD with checkpoints";
+  }
 };
 
 void DiffSolverVBD::note_step(const RecordedStep& step, const SimState& in, const SimState& out,
@@ -252,6 +257,13 @@ bool DiffSolverVBD::begin_rollout(const RolloutInputs&) {
   return model()->particle_count() > 0;
 }
 
+// Returns the index of a step in its chain of recorded steps.
+int64_t DiffSolverVBD::number_of_step(const SimState& in, const SimState& out) {
+  const bool follows = recorded_step_.end == in.particle_q.range()->data();
+  recorded_step_ = {out.particle_q.range()->data(), follows ? recorded_step_.number + 1 : 0};
+  return recorded_step_.number;
+}
+
 void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInputs& inputs,
                                 StepScratch scratch) {
   const Model& m = *model();
@@ -291,6 +303,7 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
   if (captured) nova::current_capture()->uses(in_use());
   RecordedStep::submit_forward(step);
   if (tape == nullptr) return keep_velocity(in, inputs.checkpoints.get(), scratch);
+  step->number = number_of_step(in, out);
   note_step(*step, in, out, inputs.checkpoints == nullptr);
   nova::CustomOp op;
   op.name = "vbd_step";

@@ -193,12 +193,13 @@ void RecordedStep::submit_forward(const std::shared_ptr<RecordedStep>& step) {
 
 // Runs the backward pass. Returns the requested derivatives, in the order of the inputs.
 std::vector<Array> RecordedStep::derivatives(std::span<const Tensor> outputs,
-                                             std::span<const nova::InputGradient> to) const {
+                                             std::span<const nova::InputGradient> to,
+                                             bool record) const {
   const std::vector<Input> all = differentiable();
   VbdStepDerivatives gradients;
   std::vector<Array> values(all.size());
   for (size_t k = 0; k < all.size(); ++k) {
-    if (!to[k].wanted()) continue;
+    if (!to[k].wanted() && !(record && k < kAlways)) continue;
     const UntrackedScope untracked;
     values[k] = Array(novaphy::DType::float32, all[k].size(*this), model->device());
     gradients.*all[k].derivative = values[k];
@@ -211,7 +212,9 @@ void RecordedStep::backward(std::span<const Tensor> outputs,
                             std::span<const nova::InputGradient> to) const {
   check_capture();
   const nova::NoGrad no_grad;
-  const std::vector<Array> values = derivatives(outputs, to);
+  AdjointRecord* const record = AdjointRecord::current();
+  const std::vector<Array> values = derivatives(outputs, to, record != nullptr);
+  if (record != nullptr) add_to(*record, outputs, values);
   const std::vector<Input> all = differentiable();
   for (size_t k = 0; k < all.size(); ++k) {
     if (!to[k].wanted()) continue;
@@ -270,7 +273,10 @@ std::array<DeviceArray<Vec3f>, 2> RecordedStep::tangents(std::span<const Tensor>
     const UntrackedScope untracked;
     rows = DeviceArray<Vec3f>(static_cast<size_t>(model->particle_count()), model->device());
   }
-  steps->tangent(inputs(), direction, found[0], found[1]);
+  AdjointRecord::Step* const entry = AdjointRecord::entry_of(this);
+  const std::vector<int32_t> held = entry != nullptr ? held_rows(*entry) : std::vector<int32_t>();
+  steps->tangent(inputs(), direction, found[0], found[1], held);
+  if (entry != nullptr) note_changes(*entry, held);
   return found;
 }
 

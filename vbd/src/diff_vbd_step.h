@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "novaphy/dynamics/diff_adjoint_record.h"
 #include "novaphy/nova/tape.h"
 #include "novaphy/vbd/differentiable_vbd.h"
 
@@ -34,6 +35,7 @@ struct RecordedStep {
   DeviceArray<Vec3f> q_out, qd_out;
   float dt = 0.0f;
   int32_t of_rollout = -1;  // index of the step in a rollout; -1: not in a rollout
+  int64_t number = 0;       // index of the step in its chain of recorded steps
   bool implicit = false, trains_elements = false;
   // The values of the model's scalars at the time of the recording.
   float soft_contact_ke = model->soft_contact_ke, soft_contact_kd = model->soft_contact_kd,
@@ -49,6 +51,7 @@ struct RecordedStep {
       return static_cast<size_t>(is_targets ? 3 * step.target_count : tensor.size());
     }
   };
+  enum : size_t { kQ, kQd, kForces, kAlways };  // the first inputs of all steps
   std::vector<Input> differentiable() const;
   // Returns whether the step is in a capture on a device, and materials or rest shapes of elements
   // carry a gradient.
@@ -74,8 +77,17 @@ struct RecordedStep {
   VbdStepInputs inputs() const;
   std::vector<nova::Tensor> reads() const;
   void forward();
+  // `record`: also those by the state and the forces.
   std::vector<Array> derivatives(std::span<const nova::Tensor> outputs,
-                                 std::span<const nova::InputGradient> to) const;
+                                 std::span<const nova::InputGradient> to,
+                                 bool record = false) const;
+  // diff_vbd_record.cpp. add_to adds the step to a record, after `values` were computed. held_rows
+  // returns the contacts of an entry that the present tangent holds (DifferentiableVbd::tangent).
+  // note_changes stores the changes of their impulses.
+  void add_to(AdjointRecord& record, std::span<const nova::Tensor> outputs,
+              std::span<const Array> values) const;
+  std::vector<int32_t> held_rows(const AdjointRecord::Step& entry) const;
+  void note_changes(AdjointRecord::Step& entry, std::span<const int32_t> held) const;
   void backward(std::span<const nova::Tensor> outputs,
                 std::span<const nova::InputGradient> to) const;
   void add_backward(std::span<const nova::Tensor> outputs,

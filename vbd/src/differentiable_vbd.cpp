@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "contact_forces.h"
 #include "novaphy/core/error.h"
 #include "novaphy/core/exclusive_use.h"
 #include "step_adjoint.h"
@@ -127,6 +128,7 @@ struct DifferentiableVbd::Work {
   }
   void backward(const StepInputs& in, const vbd::ResultAdjoints& adjoints,
                 const StepDerivatives& to) {
+    along.reset();
     run_again(in, in.trains_elements || vbd::wants(to, vbd::kMaterial));
     if (!gradient.implicit) {
       reverse.unrolled(in, adjoints, to);
@@ -137,18 +139,21 @@ struct DifferentiableVbd::Work {
                           gradient.krylov_sweeps));
   }
   // Returns the tangents of the positions and of the velocities after the step.
-  std::array<vbd::Rows, 2> tangents(const StepInputs& in, const StepDerivatives& direction) {
+  std::array<vbd::Rows, 2> tangents(const StepInputs& in, const StepDerivatives& direction,
+                                    std::span<const int32_t> held) {
     run_again(in, vbd::wants(direction, vbd::kMaterial));
     step.check();
-    const vbd::SweepTangents along = vbd::tangents_along(step, in, direction);
+    along = vbd::tangents_along(step, in, direction);
+    along->held = vbd::held_contacts(step, held);
     vbd::KrylovResult found;
     std::array<vbd::Rows, 2> all;
-    all[0] = gradient.implicit ? tangent.implicit(along, static_cast<double>(gradient.tolerance),
+    all[0] = gradient.implicit ? tangent.implicit(*along, static_cast<double>(gradient.tolerance),
                                                   gradient.krylov_sweeps, found)
-                               : tangent.unrolled(along);
+                               : tangent.unrolled(*along);
     tell(found);
     for (size_t p = 0; p < all[0].size(); ++p)
-      all[1].emplace_back((Vec3f(all[0][p]) - Vec3f(along.start[p])) / in.dt);
+      all[1].emplace_back((Vec3f(all[0][p]) - Vec3f(along->start[p])) / in.dt);
+    moved = all[0];
     return all;
   }
 
@@ -158,6 +163,8 @@ struct DifferentiableVbd::Work {
   const VbdGradientOptions gradient;
   Solved solved;
   DeviceArray<Vec3f> q_out, qd_out;
+  std::optional<vbd::SweepTangents> along;  // of the last tangent; none after a backward
+  vbd::Rows moved;                          // tangents of the positions along it
   bool has_info = false;
   VbdGradientInfo info;  // set only with implicit gradients
   ExclusiveUse in_use;
@@ -204,12 +211,18 @@ void DifferentiableVbd::backward(const VbdStepInputs& in, const Array& q_out_adj
 
 void DifferentiableVbd::tangent(const VbdStepInputs& in, const VbdStepDerivatives& direction,
                                 DeviceArray<Vec3f> q_out_tangent,
-                                DeviceArray<Vec3f> qd_out_tangent) {
+                                DeviceArray<Vec3f> qd_out_tangent,
+                                std::span<const int32_t> held) {
   const Work::Call call(*work_, "DifferentiableVbd.tangent", {});
   const Unseen unseen;
-  const auto tangents = work_->tangents(in, direction);
+  const auto tangents = work_->tangents(in, direction, held);
   q_out_tangent.copy_from_host(std::vector<Vec3f>(tangents[0].begin(), tangents[0].end()));
   qd_out_tangent.copy_from_host(std::vector<Vec3f>(tangents[1].begin(), tangents[1].end()));
+}
+
+std::vector<VbdContactForce> DifferentiableVbd::contact_forces(const VbdStepInputs& in) const {
+  return vbd::contact_forces(work_->step, in, work_->q_out.to_host(),
+                             work_->along ? &*work_->along : nullptr, work_->moved);
 }
 
 }  // namespace novaphy

@@ -128,6 +128,8 @@ class Step {
   // Contacts, sorted by particle. The arrays are large enough for all slots of the contacts.
   const DeviceArray<int32_t>& contact_begin() const { return contact_begin_; }
   const DeviceArray<int32_t>& contact_items() const { return contact_items_; }
+  // kContactFloats for each contact, in the same order.
+  const DeviceArray<float>& contact_numbers() const { return contact_numbers_; }
 
  private:
   // A material of elements that replays may change. `allowed`: which of its values may differ from

@@ -21,6 +21,7 @@ void StepTangent::put(const SweepTangents& along) {
   mass_ = upload<float>(along.mass, device);
   contacts_ = upload<float>(along.contacts, device);
   numbers_ = upload<float>(along.numbers, device);
+  held_ = upload<int32_t>(along.held, device);
   VbdTangentArguments a = arguments(0, step_.colors().size() - 1, true);
   a.x = nullptr;
   novaphy::run(kernels().tangent_start, step_.colors().back() * step_.slots().lanes(), a);
@@ -39,6 +40,7 @@ VbdTangentArguments StepTangent::arguments(size_t first_color, size_t last_color
           .target = along ? &target_ : nullptr,
           .mass = along ? &mass_ : nullptr,
           .contacts = along ? if_any(contacts_) : nullptr,
+          .held = if_any(held_),
           .numbers = along ? &numbers_ : nullptr,
           .begins = begins,
           .load = nullptr,
@@ -218,6 +220,7 @@ Rows StepTangent::implicit(const SweepTangents& along, double tolerance, int32_t
 Solution StepTangent::solve_step(double tolerance, int32_t iterations, int32_t sweeps) {
   const UntrackedScope untracked;
   reserve();
+  held_ = {};
   const Solution found = solve_nonlinear(*this, tolerance, iterations, sweeps);
   step_.finish_again();
   return found;

@@ -18,6 +18,7 @@ struct SweepTangents {
   Rows start, target;
   Rows guess;  // tangent of the initial guess
   std::vector<float> mass, contacts, numbers;
+  std::vector<int32_t> held;  // see VbdTangentArguments; empty: none
 };
 SweepTangents tangents_along(const Step& step, const StepInputs& in,
                              const StepDerivatives& direction);
@@ -66,6 +67,7 @@ class StepTangent {
   bool keeps_loads_ = false;  // see keep_loads
   Rows4 x_, load_, result_, moved_, loads_at_, start_, target_;
   DeviceArray<float> mass_, contacts_, numbers_;
+  DeviceArray<int32_t> held_;
 };
 
 }  // namespace novaphy::vbd

@@ -124,6 +124,9 @@ struct ArticulationStep::Shared::Witness : GradientWitness {
     return gradient_info(has_replays ? all_branches(*shared).all : counts, false,
                          has_events() ? &motion : nullptr);
   }
+  const char* without_record() const override {
+    return shared->runs_on_host() ? nullptr : "DiffFeatherstoneSolver on a device";
+  }
 };
 
 namespace {

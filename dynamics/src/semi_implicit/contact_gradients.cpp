@@ -47,6 +47,11 @@ std::vector<bool> exact_contact_gradients(const Model& model, const SimState& st
   return exact;
 }
 
+bool is_exact_while_frozen(const Model& m, int32_t shape) {
+  const auto s = static_cast<size_t>(shape);
+  return is_endless_plane(m.shape_type.data()[s], m.shape_scale.data()[s]);
+}
+
 bool has_exact_gradient(const Model& m, const DeviceArray<Transformf>& body_q,
                         const ContactFields& c, int32_t row) {
   const MovingContacts of = {.shape0 = direct(c.rigid_contact_shape0.data()),

@@ -98,8 +98,7 @@ PairOfWorld pair_of(const AdjointRecord::Contact& c) {
 // forces to zero, so that later steps do not see these changes.
 class HeldPairs : public nova::TangentVisitor {
  public:
-  HeldPairs(const std::map<PairOfWorld, int32_t>& numbers, int32_t number)
-      : numbers_(numbers), number_(number) {}
+  explicit HeldPairs(const AdjointRecord& record) : record_(record) {}
   void visit(std::string_view kernel, std::span<const nova::Operand> inputs,
              std::span<const std::shared_ptr<Range>> tangents) override {
     if (!kernel.ends_with("rigid_contact_wrenches")) return;
@@ -112,15 +111,14 @@ class HeldPairs : public nova::TangentVisitor {
   // `tangents` {rows, 12}: tangents of the wrenches on A, then on B.
   void hold(AdjointRecord::Step& step, float* tangents) const {
     for (const AdjointRecord::Contact& c : step.contacts) {
-      if (numbers_.at(pair_of(c)) != number_) continue;
+      if (!record_.holds(c)) continue;
       float* const t = tangents + 12 * static_cast<int64_t>(c.row);
       step.changes[static_cast<size_t>(c.row)] = Vec3f{t[6], t[7], t[8]} * step.dt;
       std::fill_n(t, 12, 0.0f);
     }
   }
 
-  const std::map<PairOfWorld, int32_t>& numbers_;
-  int32_t number_;
+  const AdjointRecord& record_;
 };
 
 }  // namespace
@@ -188,9 +186,11 @@ bool find_changes_of_springs(AdjointRecord& record, const std::function<void()>&
     }
   }
   for (int32_t number = 0; number < most; ++number) {
-    const HeldPairs visitor(numbers, number);
+    record.holds = [&](const AdjointRecord::Contact& c) { return numbers[pair_of(c)] == number; };
+    const HeldPairs visitor(record);
     run();
   }
+  record.holds = nullptr;
   return most > 0;
 }
 

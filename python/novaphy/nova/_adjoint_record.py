@@ -30,13 +30,18 @@ class AdjointRecord:
       `normal` {3} are in the world frame. `held` says whether the derivative keeps point and normal
       constant. `begins` says whether the pair did not push in the step before.
 
-      `impulse` {3} (N s) acts on shape1. `adjoint` {3} is the derivative of the loss by the
-      impulse. `change` {3} is the derivative of the impulse along the unit vector against the
-      gradient. `carried` is adjoint . change: the part of the loss's change due to this contact.
+      A contact of a particle in DiffSolverVBD has the index `particle`, and `shape1` is -1. Other
+      contacts have `particle` -1.
+
+      `impulse` {3} (N s) acts on shape1, or on the particle. `adjoint` {3} is the derivative of the
+      loss by the impulse. `change` {3} is the derivative of the impulse along the unit vector
+      against the gradient. `carried` is adjoint . change: the part of the loss's change due to this
+      contact.
 
       A penalty contact pushes over several steps. Its `change` leaves out the effect of the same
       pair's changes in earlier steps. The sum of `carried` over the steps of a pair is the part of
-      the derivative that goes through the pair.
+      the derivative that goes through the pair. All particles that touch one shape in one world
+      count as one pair.
 
     suspects: one dict per pair and cause whose drift is above 1 % of the largest |H|, in descending
       order of drift. The keys are `step`, `world`, `shape0`, `shape1`, `drift` and `cause`.
@@ -64,24 +69,29 @@ class AdjointRecord:
         for s in self.suspects:
             lines.append(f"step {s['step']}: {s['cause']}, H drifts by {100 * s['drift']:.3g} %")
         for c in sorted(self._touches(), key=lambda c: -abs(c["carried"]))[:8]:
-            lines.append(f"step {c['step']}: {pair_of(c)} carried {c['carried']:.4g}")
+            lines.append(f"step {c['step']}: {c['pair']} carried {c['carried']:.4g}")
         return "\n".join(lines)
 
     def _touches(self) -> list[Row]:
         """Return the contacts. The steps of one penalty contact are one row with their sum."""
         rows, open_ones = list[Row](), dict[Any, Row]()
         for c in self.contacts:
-            key = _pair_of_world(c)
-            if c["step"] not in self._springs or c["begins"] or key not in open_ones:
-                open_ones[key] = dict(c)
-                rows.append(open_ones[key])
-            else:
-                open_ones[key]["carried"] += c["carried"]
+            key = c["world"], c["shape0"], c["shape1"]
+            last = open_ones.get(key)
+            if last and c["step"] in self._springs and c["step"] - last["end"] in (0, 1):
+                last["carried"] += c["carried"]
+                last["end"] = c["step"]
+                continue
+            name = f"particles and shape {c['shape0']}" if c["particle"] >= 0 else pair_of(c)
+            rows.append({**c, "pair": name, "end": c["step"]})
+            open_ones[key] = rows[-1]
         return rows
 
 
 def pair_of(row: Row) -> str:
-    """Return "shapes A and B" for the pair of a contact."""
+    """Return "shapes A and B", or "particle A and shape B", for the pair of a contact."""
+    if row["particle"] >= 0:
+        return f"particle {row['particle']} and shape {row['shape0']}"
     return f"shapes {row['shape0']} and {row['shape1']}"
 
 
@@ -102,11 +112,11 @@ def _times(steps: list[Row]) -> list[float]:
 def _contacts(steps: list[Row]) -> list[Row]:
     rows, times, before = list[Row](), _times(steps), set[Any]()
     for step, time in zip(steps, times[:-1], strict=True):
-        now = {(c["world"], c["shape0"], c["shape1"]) for c in step["contacts"]}
+        now = {_pair_of_world(c) for c in step["contacts"]}
         for contact in step["contacts"]:
             row = {"step": step["number"], "time": time, **contact}
             row["carried"] = float(np.dot(contact["adjoint"], contact["change"]))
-            row["begins"] = (row["world"], row["shape0"], row["shape1"]) not in before
+            row["begins"] = _pair_of_world(row) not in before
             rows.append(row)
         before = now
     return rows
@@ -169,8 +179,8 @@ def _changes(here: list[Row], next_ones: list[Row]) -> list[Row]:
     return [c for c in [*here, *next_ones] if _pair_of_world(c) in pairs[0] ^ pairs[1]]
 
 
-def _pair_of_world(c: Row) -> tuple[int, frozenset[int]]:
-    return c["world"], frozenset((c["shape0"], c["shape1"]))
+def _pair_of_world(c: Row) -> tuple[int, frozenset[int], int]:
+    return c["world"], frozenset((c["shape0"], c["shape1"])), c["particle"]
 
 
 def _suspects(

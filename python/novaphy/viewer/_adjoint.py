@@ -21,6 +21,8 @@ def pair_name(row: dict[str, Any]) -> str:
     """Return the name of a contact's pair, or of the joint of a limit."""
     if row.get("kind") == "limit":
         return f"joint {row['joint']}"
+    if row["particle"] >= 0:
+        return f"particle {row['particle']} and shape {max(row['shape0'], row['shape1'])}"
     return f"shapes {row['shape0']} and {row['shape1']}"
 
 

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <unordered_map>
 #include <utility>
@@ -20,10 +21,12 @@ struct NOVAPHY_DYNAMICS_API AdjointRecord : nova::Tape::Witness {
     int32_t world = 0, shape0 = 0, shape1 = 0;
     Vec3f point{}, normal{}, impulse{}, adjoint{};  // as in ContactNote
     bool held = false;
+    // A particle, on which the impulse acts; shape1 is then -1. -1: the impulse acts on shape1.
+    int32_t particle = -1;
   };
   // Gradients {2 dofs} of the loss: first by positions, then by velocities. Gradients by joint
-  // positions are by tangents, one number per dof. Steps with penalty contacts have gradients by
-  // the entries of the body poses instead.
+  // positions are by tangents, one number per dof. Steps with penalty contacts of bodies have
+  // gradients by the entries of the body poses instead.
   struct Step {
     int64_t number = 0;
     float dt = 0.0f;
@@ -43,6 +46,9 @@ struct NOVAPHY_DYNAMICS_API AdjointRecord : nova::Tape::Witness {
   // nothing.
   std::vector<std::pair<nova::Tensor, std::vector<float>>> gradients;
   std::vector<Step> steps;  // in the order of the backward pass: the last step first
+  // While a tangent runs: whether the force of a contact has the tangent 0, so that later steps do
+  // not see its change. Null: no contact.
+  std::function<bool(const Contact&)> holds;
 
   // Returns the gradient that the backward pass computed for a leaf. Null: the tensor is no leaf of
   // the tape, or has no gradient.

@@ -108,6 +108,7 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
 
  private:
   void note_step(const RecordedStep& step, const SimState& in, const SimState& out, bool keeps);
+  int64_t number_of_step(const SimState& in, const SimState& out);
   void check_replays() const;
   void begin();
   bool looks_back() const { return options_.initial_guess == VbdInitialGuess::Adaptive; }
@@ -123,6 +124,11 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
   std::shared_ptr<std::string> failure_ = std::make_shared<std::string>();
   std::shared_ptr<const Contacts> last_contacts_;  // a copy of the contacts of the last step
   GradientNotes notes_;
+  // The address of the state at the end of the last recorded step, and the step's number.
+  struct {
+    const void* end = nullptr;
+    int64_t number = 0;
+  } recorded_step_;
   struct Witness;
   std::weak_ptr<Witness> witness_;
   // The previous velocities for the adaptive guess: see VbdStepInputs::last_velocity.

@@ -2,7 +2,9 @@
 #pragma once
 
 #include <memory>
+#include <span>
 #include <string>
+#include <vector>
 
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/model.h"
@@ -66,6 +68,14 @@ struct VbdStepDerivatives {
   Array shape_material_ke = {};
   Array shape_material_kd = {};
   Array shape_material_mu = {};
+};
+
+// A contact of a particle with a shape that pushes at the end of a step.
+struct VbdContactForce {
+  int32_t slot = 0;  // row of Contacts::soft_contact_*
+  int32_t particle = 0, shape = 0;
+  Vec3f point{}, normal{};          // of the surface
+  Vec3f force{}, force_tangent{};   // on the particle (N); the tangent only from `tangent`
 };
 
 struct VbdGradientOptions {
@@ -139,9 +149,15 @@ class NOVAPHY_VBD_API DifferentiableVbd {
   void backward(const VbdStepInputs& inputs, const Array& q_out_adjoint,
                 const Array& qd_out_adjoint, const VbdStepDerivatives& gradients,
                 const std::shared_ptr<ExclusiveUse>& in_use = {});
-  // Computes the tangents of the results along a direction of the inputs.
+  // Computes the tangents of the results along a direction of the inputs. `held`: for each row of
+  // soft_contact_*, 1: the contact's force has the tangent 0. Empty: no such contact.
   void tangent(const VbdStepInputs& inputs, const VbdStepDerivatives& direction,
-               DeviceArray<Vec3f> q_out_tangent, DeviceArray<Vec3f> qd_out_tangent);
+               DeviceArray<Vec3f> q_out_tangent, DeviceArray<Vec3f> qd_out_tangent,
+               std::span<const int32_t> held = {});
+  // Returns the forces of contacts in the last backward or tangent, which had these inputs. After
+  // tangent, a held contact has the tangent that its force would have. The order is that of the
+  // particles. Waits for a device.
+  std::vector<VbdContactForce> contact_forces(const VbdStepInputs& inputs) const;
   // Describes the last backward or tangent. ErrorKind::Runtime: neither function ran yet.
   VbdGradientInfo info() const;
 

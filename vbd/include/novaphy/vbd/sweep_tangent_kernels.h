@@ -12,6 +12,8 @@ struct VbdTangentArguments {
   NOVAPHY_ARGUMENTS(Part<VbdSweepArguments> sweep; Optional<Reads<VbdRow>> x, start, target;
                     Optional<Reads<float>> mass;      // tangent of mass/h^2, per particle
                     Optional<Reads<float>> contacts;  // kContactLawFloats for each contact
+                    // for each contact, 1: its force and stiffness have the tangent 0
+                    Optional<Reads<int32_t>> held;
                     // the tangents of all numbers of the slots
                     Optional<Updates<float>> numbers;
                     Each<Number<int64_t>, vbd::kRoles> begins;  // where the numbers of a role begin
@@ -92,10 +94,22 @@ struct TangentGroup {
           {c.radius, tangents[0]}, {c.ke, tangents[1]}, {c.kd_by_h, tangents[2]},
           {c.mu, tangents[3]},     Tangent(c.slip),     Tangent(c.inside)};
       if (a.loads_at != nullptr) contact.mu = friction_of_load(x, still(g.at(a.loads_at)), contact);
-      outer = outer + where(all.touching, stiffness ? particle_contact_stiffness(x, begin, contact)
-                                                    : particle_contact_block(x, begin, contact));
+      const Block<Tangent> block = stiffness ? particle_contact_stiffness(x, begin, contact)
+                                             : particle_contact_block(x, begin, contact);
+      outer = outer + where(all.touching, without_held(all, block));
     });
     return outer;
+  }
+  Block<Tangent> without_held(const LaneContacts<S>& all, Block<Tangent> block) const {
+    if (a.held == nullptr) return block;
+    S part{};
+    for (int l = 0; l < g.filled; ++l)
+      Access::set(part, l, all.number[l] >= 0 && a.held[all.number[l]] == 0 ? 1.0f : 0.0f);
+    const auto times_part = [&part](Tangent& number) { number.d = number.d * part; };
+    times_part(block.f.x), times_part(block.f.y), times_part(block.f.z);
+    times_part(block.h00), times_part(block.h11), times_part(block.h22);
+    times_part(block.h01), times_part(block.h02), times_part(block.h12);
+    return block;
   }
   Tangent mass() const {
     S mass{};

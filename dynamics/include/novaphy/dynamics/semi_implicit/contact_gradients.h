@@ -20,6 +20,10 @@ NOVAPHY_DYNAMICS_API std::vector<bool> exact_contact_gradients(const Model& mode
                                                                const SimState& state,
                                                                const Contacts& contacts);
 
+// Returns whether a contact of a particle with a shape of the world has an exact gradient while its
+// point and normal are frozen: the shape is an endless plane.
+NOVAPHY_DYNAMICS_API bool is_exact_while_frozen(const Model& model, int32_t shape);
+
 // Returns whether the gradient of one row is exact. The row must have been found from the poses
 // body_q {bodies}, and all arrays must be on the host.
 bool has_exact_gradient(const Model& model, const DeviceArray<Transformf>& body_q,

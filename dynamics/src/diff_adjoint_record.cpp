@@ -119,6 +119,7 @@ std::shared_ptr<const AdjointRecord> adjoint_record(nova::Tape& tape,
   bool all_springs = true;
   for (AdjointRecord::Step& step : record->steps) {
     step.changes.clear();
+    step.moved.clear();
     all_springs = all_springs && step.of_springs;
   }
   const Downhill along = downhill(*record, inputs.empty() ? tape.leaves() : inputs);

@@ -106,11 +106,13 @@ py::object record_of(nova::Tape& tape, const std::optional<std::vector<Tensor>>&
     for (const AdjointRecord::Contact& c : s.contacts) {
       const auto row = static_cast<size_t>(c.row);
       const Vec3f change = row < s.changes.size() ? s.changes[row] : Vec3f{};
+      const float moved = row < s.moved.size() ? s.moved[row] : 0.0f;
       contacts.append(py::dict("world"_a = c.world, "shape0"_a = c.shape0, "shape1"_a = c.shape1,
                                "point"_a = vector_of(c.point), "normal"_a = vector_of(c.normal),
                                "impulse"_a = vector_of(c.impulse),
                                "adjoint"_a = vector_of(c.adjoint), "change"_a = vector_of(change),
-                               "held"_a = c.held, "particle"_a = c.particle));
+                               "held"_a = c.held, "particle"_a = c.particle,
+                               "moved"_a = moved));
     }
     steps.append(py::dict("number"_a = s.number, "dt"_a = s.dt, "start"_a = s.start,
                           "end"_a = s.end, "rates"_a = s.rates, "of_springs"_a = s.of_springs,

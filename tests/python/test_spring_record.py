@@ -62,10 +62,11 @@ class Run:
         return sum(c["carried"] for c in rows)
 
 
+@pytest.mark.parametrize("mode", ["code", "motion"])
 @pytest.mark.parametrize("offset", [0.0, 0.06])
-def test_one_contact_carries_the_whole_derivative(offset: float) -> None:
+def test_one_contact_carries_the_whole_derivative(offset: float, mode: str) -> None:
     """The second ball moves only because of the contact; off the line the arms change, too."""
-    run = Run(balls([(0, 0, 0), (0.23, offset, 0)]))
+    run = Run(balls([(0, 0, 0), (0.23, offset, 0)]), mode)
     bound = 1e-3 if offset == 0.0 else 0.01
     assert abs(run.slope) > 0.01
     assert abs(run.carried(0, 1) + abs(run.slope)) < bound * abs(run.slope)
@@ -90,8 +91,9 @@ def test_a_record_is_of_one_loss() -> None:
     assert run.record.boundaries[0]["norm"] == pytest.approx(first.boundaries[0]["norm"], rel=1e-4)
 
 
-def test_each_pair_of_a_chain_carries_the_derivative() -> None:
-    run = Run(balls([(0, 0, 0), (0.22, 0, 0), (0.44, 0, 0)]))
+@pytest.mark.parametrize("mode", ["code", "motion"])
+def test_each_pair_of_a_chain_carries_the_derivative(mode: str) -> None:
+    run = Run(balls([(0, 0, 0), (0.22, 0, 0), (0.44, 0, 0)]), mode)
     for pair in ((0, 1), (1, 2)):
         assert abs(run.carried(*pair) + abs(run.slope)) < 1e-3 * abs(run.slope)
 
@@ -122,9 +124,10 @@ def bouncing(mode: str) -> Run:
     return Run(builder.finalize(requires_grad=True), mode, 2, -1.0, (0.0, 0.0, 1.0))
 
 
-def test_the_ground_carries_what_free_flight_does_not() -> None:
+@pytest.mark.parametrize("mode", ["code", "motion"])
+def test_the_ground_carries_what_free_flight_does_not(mode: str) -> None:
     """d height / d speed is the duration without the ground."""
-    run = bouncing("code")
+    run = bouncing(mode)
     downhill = -np.sign(run.slope)
     wanted = -abs(run.slope) - downhill * STEPS * DT
     assert run.carried(0, 1) == pytest.approx(wanted, rel=1e-3)

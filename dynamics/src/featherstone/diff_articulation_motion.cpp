@@ -323,6 +323,7 @@ void motion_jvp(const Step& s, std::span<const Tensor> inputs, std::span<const T
   run(moved);
 
   const EndOfStep end(s);
+  record_delays(s, in, delay, jump, end.qdd, end.inside);
   std::vector<float> back(trees);
   std::vector<float> waiting(trees);
   for (size_t t = 0; t < trees; ++t) {

@@ -1,4 +1,6 @@
 // Entries of an AdjointRecord for steps of articulations.
+#include <algorithm>
+
 #include "diff_articulation_motion.h"
 #include "novaphy/core/error.h"
 
@@ -61,6 +63,40 @@ void record_vjp(const Step& s, std::span<const Tensor> outputs,
   if (pushes) add_contacts(s, to);
   to.notes.clear();
   for (const size_t i : {kAt.q, kAt.qd}) give_gradient(all[i], gradients[i]);
+}
+
+void record_delays(const Step& s, const ArticulationArguments& in, std::span<const float> delay,
+                   std::span<const float> jump, std::span<const float> qdd,
+                   std::span<const char> inside) {
+  AdjointRecord::Step* const entry = AdjointRecord::entry_of(&s);
+  if (entry == nullptr || entry->end.empty()) return;
+  const float *const p_q = entry->end.data(), *const p_qd = p_q + jump.size();
+  const std::vector<float>& smooth = s.motion->smooth;
+  entry->moved.assign(static_cast<size_t>(s.contact_max), 0.0f);
+  for (const ContactEvent& event : s.motion->found.events) {
+    const auto tree = static_cast<size_t>(event.trees.front());
+    if (event.lands || inside[tree] != 0) continue;
+    double sum = 0.0, impulses = 0.0;
+    for_dofs(s, event, [&](size_t, size_t row) {
+      const double a{smooth[row]}, v = double{in.arrays.qd[row]} + double{s.dt} * a;
+      const double after{numbers(s.outputs[1].tensor)[row]};
+      sum += (double{p_q[row]} * (v - after) + double{p_qd[row]} * (a - double{qdd[row]})) *
+             double{delay[tree]};
+      sum += double{p_q[row]} * double{jump[row]};
+    });
+    const auto is_of_event = [&](const AdjointRecord::Contact& c) {
+      return std::ranges::any_of(event.groups, [&](const ContactEvent::Group& g) {
+        return std::minmax(g.shape0, g.shape1) == std::minmax(c.shape0, c.shape1);
+      });
+    };
+    const auto size = [](const Vec3f& v) { return double{math::length(v)}; };
+    for (const AdjointRecord::Contact& c : entry->contacts)
+      if (is_of_event(c)) impulses += size(c.impulse);
+    for (const AdjointRecord::Contact& c : entry->contacts)
+      if (is_of_event(c))
+        entry->moved[static_cast<size_t>(c.row)] =
+            static_cast<float>(sum * size(c.impulse) / impulses);
+  }
 }
 
 }  // namespace novaphy::diff::detail

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "diff_recorded_pair.h"
 #include "novaphy/dynamics/semi_implicit/diff_touches.h"
 #include "novaphy/math/matrix.h"
 #include "novaphy/math/spatial.h"
@@ -117,7 +118,8 @@ Vec3d force_gradient(const TouchSide& side, const StateRows& of) {
 }
 
 // Adds the change of the force of a ramp (a contact near its begin or end) for the tangents `x`.
-void ramp_jvp(const TouchRamp& ramp, const StateRows& x, const StateRows& to) {
+void ramp_jvp(const TouchRamp& ramp, const RecordedPair& pair, const StateRows& x,
+              const StateRows& to) {
   double gap = 0.0;
   Vec3d u{};
   for (size_t i = 0; i < 2; ++i) {
@@ -128,11 +130,13 @@ void ramp_jvp(const TouchRamp& ramp, const StateRows& x, const StateRows& to) {
   }
   const auto& by = ramp.row.by_velocity;
   const Vec3d force = ramp.row.by_gap * gap + by[0] * u.x + by[1] * u.y + by[2] * u.z;
+  if (pair.is_held()) return pair.add(dot(ramp.by_force, force));
   for (size_t i = 0; i < 2; ++i) add_force(ramp.row.sides[i], force * -kSign[i], to);
 }
-void ramp_vjp(const TouchRamp& ramp, const StateRows& of, const StateRows& to) {
+void ramp_vjp(TouchRamp& ramp, const StateRows& of, const StateRows& to) {
   Vec3d force{};
   for (size_t i = 0; i < 2; ++i) force = force + force_gradient(ramp.row.sides[i], of) * -kSign[i];
+  if (AdjointRecord::current() != nullptr) ramp.by_force = force;
   const auto& by = ramp.row.by_velocity;
   const Vec3d u = {dot(by[0], force), dot(by[1], force), dot(by[2], force)};
   const Vec3d place = ramp.row.normal * dot(ramp.row.by_gap, force);
@@ -145,7 +149,8 @@ void ramp_vjp(const TouchRamp& ramp, const StateRows& of, const StateRows& to) {
 
 void start_jvp(const TouchWork& work, const StateRows& in, const StateRows& out) {
   for (const auto& ramp : work.ramps)
-    if (ramp->acts()) ramp_jvp(*ramp, in, out);
+    if (ramp->acts())
+      ramp_jvp(*ramp, {work.of_record, ramp->row.first, ramp->row.second}, in, out);
   for (const auto& step : work.steps) {
     TouchEvent& event = *step->event;
     if (!event.is_window()) continue;
@@ -161,14 +166,27 @@ void start_jvp(const TouchWork& work, const StateRows& in, const StateRows& out)
       step->start[i].add_tangent(scaled(step->before[i], event.delay), out);
   }
 }
+// Returns the rates after a step without the force of a touch, from the rates before the step.
+Tangent free_rates(const Tangent& f, double dt) {
+  return {f[kPlace] + f[kVelocity] * dt, f[kTurn] + f[kSpin] * dt, f[kVelocity], f[kSpin]};
+}
 void end_jvp(const TouchWork& work, const StateRows& out) {
   for (const auto& step : work.steps) {
     TouchEvent& event = *step->event;
     if (!event.is_window()) continue;
     if (event.forward_at != 2 * step->number) event.delay = 0.0;
     event.forward_at = 2 * step->number + 1;
-    for (size_t i = 0; i < 2; ++i)
-      step->end[i].add_tangent(scaled(step->after[i], -event.delay), out);
+    const RecordedPair pair(work.of_record, event.first, event.second);
+    for (size_t i = 0; i < 2; ++i) {
+      Tangent rates = step->after[i];
+      if (pair.is_held()) {
+        const Tangent free = free_rates(step->before[i], work.dt);
+        pair.add((product(step->costate[i], free) - product(step->costate[i], rates)) *
+                 event.delay);
+        rates = free;
+      }
+      step->end[i].add_tangent(scaled(rates, -event.delay), out);
+    }
   }
 }
 void end_vjp(const TouchWork& work, const StateRows& of) {
@@ -177,8 +195,11 @@ void end_vjp(const TouchWork& work, const StateRows& of) {
     if (!event.is_window()) continue;
     if (event.backward_at != 2 * (step->number + 1)) event.mismatch = 0.0;
     event.backward_at = 2 * step->number + 1;
-    for (size_t i = 0; i < 2; ++i)
-      event.mismatch -= product(step->after[i], step->end[i].gradient(of));
+    for (size_t i = 0; i < 2; ++i) {
+      const Tangent p = step->end[i].gradient(of);
+      if (AdjointRecord::current() != nullptr) step->costate[i] = p;
+      event.mismatch -= product(step->after[i], p);
+    }
   }
 }
 void start_vjp(const TouchWork& work, const StateRows& of, const StateRows& to) {

@@ -110,6 +110,8 @@ struct TouchStep {
   std::array<SideFrame, 2> start, end;
   std::array<Tangent, 2> before{}, after{};  // rates f at the start and the end
   std::array<std::array<Vec3d, 2>, 2> applied{};
+  // The gradient by the state at the end, from the last adjoint with an AdjointRecord.
+  std::array<Tangent, 2> costate{};
 };
 
 // A "ramp": a contact within half a step of its begin or end, with an averaged force
@@ -118,6 +120,7 @@ struct TouchRamp {
   TouchRow row;
   std::array<SideFrame, 2> frames;
   std::shared_ptr<TouchEvent> event;
+  Vec3d by_force{};  // the gradient by the force, from the last adjoint with an AdjointRecord
   bool acts() const { return event == nullptr || !event->is_window(); }
 };
 
@@ -132,6 +135,8 @@ std::shared_ptr<MotionEvent> tell_touch(const Model& m, const TouchRow& row,
 struct TouchWork {
   std::vector<std::shared_ptr<TouchStep>> steps;
   std::vector<std::shared_ptr<TouchRamp>> ramps;
+  const void* of_record = nullptr;  // address of the step in an AdjointRecord
+  double dt = 0.0;                  // s
   // Returns whether the gradient of the step has a term besides that of the code.
   bool acts() const {
     return std::ranges::any_of(steps, [](const auto& s) { return s->event->is_window(); }) ||

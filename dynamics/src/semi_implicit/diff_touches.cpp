@@ -197,6 +197,8 @@ void TouchMotion::Impl::move(const Model& m, TouchedStep& step) const {
   if (settings.bodies) step.body_forces = nova::operand_of(from.body_f);
   if (settings.particles) step.forces = nova::operand_of(from.particle_f);
   step.moved_in = std::make_unique<SimState>(m, from);
+  if (settings.bodies) step.work->of_record = from.body_q.range()->data();
+  step.work->dt = double{last_dt};
   record_touches(step.work, true, before, arrays(from, step.body_forces, step.forces));
 }
 

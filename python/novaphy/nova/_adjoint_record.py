@@ -35,8 +35,9 @@ class AdjointRecord:
 
       `impulse` {3} (N s) acts on shape1, or on the particle. `adjoint` {3} is the derivative of the
       loss by the impulse. `change` {3} is the derivative of the impulse along the unit vector
-      against the gradient. `carried` is adjoint . change: the part of the loss's change due to this
-      contact.
+      against the gradient. `carried` is adjoint . change + moved: the part of the loss's change due
+      to this contact. `moved` is the part due to moved times at which the contact begins and ends,
+      with contact_gradient="motion", and 0 for landings of articulations.
 
       A penalty contact pushes over several steps. Its `change` leaves out the effect of the same
       pair's changes in earlier steps. The sum of `carried` over the steps of a pair is the part of
@@ -115,7 +116,7 @@ def _contacts(steps: list[Row]) -> list[Row]:
         now = {_pair_of_world(c) for c in step["contacts"]}
         for contact in step["contacts"]:
             row = {"step": step["number"], "time": time, **contact}
-            row["carried"] = float(np.dot(contact["adjoint"], contact["change"]))
+            row["carried"] = float(np.dot(contact["adjoint"], contact["change"])) + row["moved"]
             row["begins"] = _pair_of_world(row) not in before
             rows.append(row)
         before = now

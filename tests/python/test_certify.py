@@ -173,6 +173,14 @@ def test_samples_tell_where_steps_are_coarse_for_differences() -> None:
     assert code.verdict == "biased" and code.length < 0.3
 
 
+def test_a_sigma_within_a_step_is_named() -> None:
+    """The contact stays in its step, so the loss has the slope of the code at this scale."""
+    found = diff.certify(last_height, [-1.0], 1e-3)
+    assert found.verdict == "biased" and found.info.label == "exact of the motion"
+    assert re.search("0.3 sigma moves contacts by 0.0[0-9]* steps only", found.sentence)
+    assert "larger sigma" not in diff.certify(last_height_of_the_code, [-1.0], 0.3).sentence
+
+
 def test_the_cause_of_a_rough_loss_is_named() -> None:
     from types import SimpleNamespace
 

@@ -195,7 +195,13 @@ def _advice(of: Evidence) -> str:
             f" Contacts changed {of.info.events} times, and the gradient leaves their times out: "
             'try contact_gradient="motion" where the solver has it.'
         )
-    return f' The label is "{of.info.label}".'
+    coarse = ""
+    if of.shift is not None and STEPS[1] * of.shift < 1.0:
+        coarse = (
+            f" {STEPS[1]:g} sigma moves contacts by {STEPS[1] * of.shift:.2g} steps only, so the "
+            "losses show the phase of the steps: a larger sigma or a smaller dt would tell more."
+        )
+    return f' The label is "{of.info.label}".{coarse}'
 
 
 def _cause(of: Evidence) -> str:

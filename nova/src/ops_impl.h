@@ -24,9 +24,10 @@ using Gradients = std::span<const Tensor>;
 using InputGradients = std::span<const InputGradient>;
 // Computes the tangent of the output from those of the inputs. An undefined tangent is zero.
 using TangentFn = std::function<Tensor(std::span<const Tensor>)>;
-// Records out = f(inputs), already computed, if a tape is active. `reads`: tensors whose values vjp
-// and tangent read.
+// Records out = f(inputs), already computed by `forward`, if a tape is active. `reads`: tensors
+// whose values vjp and tangent read.
 void record(const char* name, std::vector<Tensor> inputs, const Tensor& out,
-            decltype(CustomOp::vjp) vjp, TangentFn tangent, std::vector<Tensor> reads = {});
+            std::function<void()> forward, decltype(CustomOp::vjp) vjp, TangentFn tangent,
+            std::vector<Tensor> reads = {});
 
 }  // namespace nova::detail

@@ -109,13 +109,9 @@ void launch_lanes(const Matrix& a, const Matrix& b, const Tensor& out) {
                  number(b.column), number(a.rows), number(b.columns), number(a.columns)});
 }
 
-Tensor product(const Matrix& a, const Matrix& b, const Shape& shape) {
-  const Tensor out(shape, DType::F32, a.tensor.device());
+void multiply(const Matrix& a, const Matrix& b, const Tensor& out) {
   const NoGrad no_grad;
-  if (out.device().is_cpu()) {
-    launch_lanes(a, b, out);
-    return out;
-  }
+  if (out.device().is_cpu()) return launch_lanes(a, b, out);
   const auto param = [](int64_t value) { return int_param("matmul", value); };
   const Param params[] = {param(b.columns), param(a.row), param(a.column), param(b.row),
                           param(b.column)};
@@ -124,6 +120,11 @@ Tensor product(const Matrix& a, const Matrix& b, const Shape& shape) {
   const Operand to = out.flat_operand();
   matmul_kernel().launch(out.size(), in, to,
                          {.params = params, .extent = static_cast<int32_t>(a.columns)});
+}
+
+Tensor product(const Matrix& a, const Matrix& b, const Shape& shape) {
+  const Tensor out(shape, DType::F32, a.tensor.device());
+  multiply(a, b, out);
   return out;
 }
 
@@ -148,10 +149,15 @@ Tensor transposed(const Tensor& x) {
   return out;
 }
 
-// Returns a b^T.
+// Computes a b^T.
+void multiply_with_transposed(const Matrix& a, const Matrix& b, const Tensor& out) {
+  if (b.tensor.device().is_cpu()) return multiply(a, b.transposed(), out);
+  multiply(a, {transposed(b.tensor), b.columns, b.rows}, out);
+}
 Tensor product_with_transposed(const Matrix& a, const Matrix& b, const Shape& shape) {
-  if (b.tensor.device().is_cpu()) return product(a, b.transposed(), shape);
-  return product(a, {transposed(b.tensor), b.columns, b.rows}, shape);
+  const Tensor out(shape, DType::F32, a.tensor.device());
+  multiply_with_transposed(a, b, out);
+  return out;
 }
 
 }  // namespace
@@ -174,7 +180,9 @@ Tensor matmul(const Tensor& a, const Tensor& b) {
   if (is_matrix(a)) shape.push_back(n);
   if (is_matrix(b)) shape.push_back(m);
   if (shape.empty()) shape.push_back(1);
-  const Tensor out = product({a, n, shared}, {b, shared, m}, shape);
+  const Tensor out(shape, DType::F32, a.device());
+  const auto forward = [=] { multiply({a, n, shared}, {b, shared, m}, out); };
+  forward();
   const auto vjp = [=](detail::Gradients g, detail::InputGradients to) {
     const Matrix left{a, n, shared}, right{b, shared, m}, grad{g[0], n, m};
     if (to[0].wanted()) to[0].put(product(grad, right.transposed(), a.shape()));
@@ -187,7 +195,7 @@ Tensor matmul(const Tensor& a, const Tensor& b) {
     const Tensor second = product({a, n, shared}, {t[1], shared, m}, shape);
     return total.defined() ? add(total, second) : second;
   };
-  detail::record("matmul", {a, b}, out, vjp, tangent, {a, b});
+  detail::record("matmul", {a, b}, out, forward, vjp, tangent, {a, b});
   return out;
 }
 
@@ -209,7 +217,9 @@ Tensor linear(const Tensor& x, const Tensor& weight, const Tensor& bias) {
             "}, got ", shape_str(bias.shape()));
   }
   const Shape shape = x.ndim() == 2 ? Shape{n, m} : Shape{m};
-  const Tensor out = product_with_transposed({x, n, k}, {weight, m, k}, shape);
+  const Tensor out(shape, DType::F32, x.device());
+  const auto forward = [=] { multiply_with_transposed({x, n, k}, {weight, m, k}, out); };
+  forward();
   const auto vjp = [=](detail::Gradients g, detail::InputGradients to) {
     const Matrix grad{g[0], n, m};
     if (to[0].wanted()) to[0].put(product(grad, {weight, m, k}, x.shape()));
@@ -222,7 +232,7 @@ Tensor linear(const Tensor& x, const Tensor& weight, const Tensor& bias) {
     const Tensor second = product_with_transposed({x, n, k}, {t[1], m, k}, shape);
     return total.defined() ? add(total, second) : second;
   };
-  detail::record("linear", {x, weight}, out, vjp, tangent, {x, weight});
+  detail::record("linear", {x, weight}, out, forward, vjp, tangent, {x, weight});
   return bias.defined() ? add(out, bias) : out;
 }
 

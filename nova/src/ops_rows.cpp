@@ -1,6 +1,7 @@
 // Functions that read parts of a tensor and join parts: slice, gather, concat. All of them move
 // 32-bit words, so the same code serves int32 tensors, without a gradient.
 #include <algorithm>
+#include <array>
 #include <string>
 
 #include "checks.h"
@@ -108,11 +109,14 @@ Tensor slice(const Tensor& x, int64_t axis, int64_t start, int64_t count, int64_
   Shape shape = x.shape();
   shape[along.axis] = count;
   const Tensor out(shape, x.dtype(), x.device());
-  copy_entries("slice", x, out, along, {.times = step, .plus = start});
+  const auto forward = [=] {
+    copy_entries("slice", x, out, along, {.times = step, .plus = start});
+  };
+  forward();
   if (x.dtype() != DType::F32) return out;
   const EntryMap inverse = step > 0 ? EntryMap{1, -start, step} : EntryMap{-1, start, -step};
   detail::record(
-      "slice", {x}, out,
+      "slice", {x}, out, forward,
       [=, shape = x.shape()](Gradients g, InputGradients to) {
         const Tensor back(shape, DType::F32, g[0].device());
         copy_entries("slice", g[0], back, along, inverse);
@@ -147,16 +151,18 @@ Tensor gather(const Tensor& x, const Tensor& index) {
   shape.insert(shape.end(), x.shape().begin() + 1, x.shape().end());
   const Tensor out(shape, x.dtype(), x.device());
   const int32_t width = x.row_width();
-  const Param params[] = {Param(width), int_param("gather", x.rows())};
-  const Operand in[] = {index.flat_operand(), words_of(x)};
-  const Operand words = words_of(out);
+  const std::array params = {Param(width), int_param("gather", x.rows())};
+  const std::array in = {index.flat_operand(), words_of(x)};
+  const auto forward = [=] {
+    const NoGrad no_grad;
+    gather_kernel().launch(out.size(), in, words_of(out), {.params = params});
+  };
   const Tape* tape = Tape::active();
   const bool followed =
       tape != nullptr && x.dtype() == DType::F32 && tape->must_record({&in[1], 1});
   Incidence incidence;
   try {
-    const NoGrad no_grad;
-    gather_kernel().launch(out.size(), in, words, {.params = params});
+    forward();
     if (followed) incidence = cached_incidence(in[0], x.rows());
   } catch (const novaphy::Error& error) {
     if (error.kind() != ErrorKind::Index) throw;
@@ -166,7 +172,7 @@ Tensor gather(const Tensor& x, const Tensor& index) {
   if (OpList* graph = current_capture()) graph->freeze(index.range());
   if (x.dtype() != DType::F32) return out;
   detail::record(
-      "gather", {x}, out,
+      "gather", {x}, out, forward,
       [=, entries = in[0].rows, shape = x.shape()](Gradients g, InputGradients to) {
         const Tensor back(shape, DType::F32, g[0].device());
         row_sum({g[0].range(), entries, width}, *incidence, nullptr, back.operand());
@@ -205,24 +211,26 @@ Tensor concat(std::span<const Tensor> parts, int64_t axis) {
   }
   const Tensor out(shape, parts[0].dtype(), parts[0].device());
   std::vector<int64_t> first{0};  // first entry of each part, and the end
-  for (const Tensor& part : parts) {
-    copy_entries("concat", part, out, along, {.plus = -first.back()});
-    first.push_back(first.back() + part.dim(along.axis));
-  }
+  for (const Tensor& part : parts) first.push_back(first.back() + part.dim(along.axis));
+  const std::vector<Tensor> inputs(parts.begin(), parts.end());
+  const auto forward = [=] {
+    for (size_t k = 0; k < inputs.size(); ++k)
+      copy_entries("concat", inputs[k], out, along, {.plus = -first[k]});
+  };
+  forward();
   if (out.dtype() != DType::F32) return out;
   const auto vjp = [along, first](Gradients g, InputGradients to) {
     for (size_t k = 0; k < to.size(); ++k)
       if (to[k].wanted())
         to[k].put(slice(g[0], static_cast<int64_t>(along.axis), first[k], first[k + 1] - first[k]));
   };
-  const auto tangent =
-      [axis, inputs = std::vector<Tensor>(parts.begin(), parts.end())](std::span<const Tensor> t) {
-        std::vector<Tensor> all(t.begin(), t.end());
-        for (size_t k = 0; k < all.size(); ++k)
-          if (!all[k].defined()) all[k] = Tensor(inputs[k].shape(), DType::F32, inputs[k].device());
-        return concat(all, axis);
-      };
-  detail::record("concat", {parts.begin(), parts.end()}, out, vjp, tangent);
+  const auto tangent = [axis, inputs](std::span<const Tensor> t) {
+    std::vector<Tensor> all(t.begin(), t.end());
+    for (size_t k = 0; k < all.size(); ++k)
+      if (!all[k].defined()) all[k] = Tensor(inputs[k].shape(), DType::F32, inputs[k].device());
+    return concat(all, axis);
+  };
+  detail::record("concat", inputs, out, forward, vjp, tangent);
   return out;
 }
 

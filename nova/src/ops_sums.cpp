@@ -53,11 +53,14 @@ Tensor sum_along(const Tensor& x, const Along& along, const Shape& shape) {
           "sum: expected rows of less than 2^31 values, got shape ", shape_str(x.shape()));
   const Tensor out(shape, DType::F32, x.device());
   const auto width = static_cast<int32_t>(along.inner);
-  if (width != 0)  // rows of width 0 have nothing to sum
+  const auto forward = [=] {
+    if (width == 0) return;  // rows of width 0 have nothing to sum
     row_sum({x.range(), along.outer * along.count, width}, along.outer, along.count, nullptr,
             {out.range(), along.outer, width});
+  };
+  forward();
   detail::record(
-      "sum", {x}, out,
+      "sum", {x}, out, forward,
       [along, shape = x.shape()](Gradients g, InputGradients to) {
         to[0].put(repeat_along(g[0], along, shape));
       },
@@ -68,18 +71,19 @@ Tensor sum_along(const Tensor& x, const Along& along, const Shape& shape) {
 // Repeats {outer, inner} to {outer, count, inner}.
 Tensor repeat_along(const Tensor& x, const Along& along, const Shape& shape) {
   const Tensor out(shape, DType::F32, x.device());
-  const Operand in = x.flat_operand(), target = out.flat_operand();
-  const Param params[] = {detail::int_param("broadcast", along.inner),
-                          detail::int_param("broadcast", along.count * along.inner)};
-  {
+  const auto forward = [=] {
+    const Operand in = x.flat_operand(), target = out.flat_operand();
+    const Param params[] = {detail::int_param("broadcast", along.inner),
+                            detail::int_param("broadcast", along.count * along.inner)};
     const NoGrad no_grad;
     const bool one = x.size() == 1;
     (one ? broadcast_value_kernel() : broadcast_kernel())
         .launch(out.size(), in, target,
                 {.params = one ? std::span<const Param>() : std::span<const Param>(params)});
-  }
+  };
+  forward();
   detail::record(
-      "broadcast", {x}, out,
+      "broadcast", {x}, out, forward,
       [along, shape = x.shape()](Gradients g, InputGradients to) {
         if (along.outer * along.inner != 1) return to[0].put(sum_along(g[0], along, shape));
         // The gradient of a single value continues from the present value, like the gradient of a
@@ -115,13 +119,15 @@ Param detail::int_param(const char* call, int64_t value) {
 }
 
 void detail::record(const char* name, std::vector<Tensor> inputs, const Tensor& out,
-                    decltype(CustomOp::vjp) vjp, TangentFn tangent, std::vector<Tensor> reads) {
+                    std::function<void()> forward, decltype(CustomOp::vjp) vjp, TangentFn tangent,
+                    std::vector<Tensor> reads) {
   Tape* tape = Tape::active();
   if (tape == nullptr) return;
   CustomOp op{.name = name, .inputs = std::move(inputs), .outputs = {out}, .vjp = std::move(vjp)};
   op.jvp = [tangent = std::move(tangent)](std::span<const Tensor> in, std::span<const Tensor> to) {
     to[0].copy_(tangent(in));
   };
+  op.forward = std::move(forward);
   op.reads = std::move(reads);
   tape->record_custom(std::move(op));
 }

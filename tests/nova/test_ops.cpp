@@ -1,8 +1,10 @@
 // Functions of tensors: shapes, the order of sums, the data that a tape keeps, and the number of
 // Programs.
+#include <cmath>
 #include <set>
 
 #include "novaphy/nova/gradcheck.h"
+#include "novaphy/nova/networks.h"
 #include "novaphy/nova/op_list.h"
 #include "novaphy/nova/registry.h"
 #include "support.h"
@@ -181,6 +183,43 @@ TEST(Ops, GradientsAndTangentsKeepTheDotProductIdentity) {
   EXPECT_TRUE(result.ok) << result.worst;
   EXPECT_TRUE(result.has_tangent);
   EXPECT_LT(result.dot_product_error, 1e-5f);
+}
+
+// The backward pass repeats each function of the group, because its value is overwritten
+// afterwards.
+TEST(Ops, MayStandBetweenCheckpoints) {
+  const Tensor index = table({2, 0, 2, 1});
+  const Random random(3);
+  const auto run = [&](bool recomputed) {
+    Random numbers = random;
+    const Tensor x = numbers.leaf({3, 4}), w = numbers.leaf({4, 4}), bias = numbers.leaf({4});
+    Tape tape;
+    const TapeScope scope(tape);
+    Tensor values[8];
+    {
+      const nova::RecomputedScope group(recomputed);
+      values[0] = nova::matmul(x, w);
+      values[1] = nova::linear(nova::sin(values[0]), w, bias);
+      values[2] = nova::gather(nova::sin(values[1]), index);
+      values[3] = nova::slice(nova::sin(values[2]), 1, 3, 2, -1);
+      const Tensor both[] = {values[3], nova::sin(values[3])};
+      values[4] = nova::concat(both, 1);
+      values[5] = nova::sum(nova::sin(values[4]), 0);
+      values[6] = nova::broadcast_to(nova::sin(values[5]), {3, 4});
+      values[7] = nova::sin(values[6]);
+    }
+    for (size_t k = 0; recomputed && k < 7; ++k) values[k].fill_(0.0f);
+    tape.backward(values[7], weights(values[7]));
+    Floats gradients;
+    for (const Tensor& leaf : {x, w, bias})
+      for (const float g : leaf.grad().to_host()) gradients.push_back(g);
+    return gradients;
+  };
+  const Floats expected = run(false);
+  EXPECT_TRUE(same_bits<float>(run(true), expected));
+  float size = 0.0f;
+  for (const float g : expected) size += std::fabs(g);
+  EXPECT_GT(size, 0.1f);
 }
 
 }  // namespace

@@ -43,8 +43,8 @@ class Observer : public novaphy::ArrayObserver {
  private:
   static void refuse_in_capture(const char* what, const char* instead = "") {
     if (current_capture())
-      novaphy::fail(ErrorKind::Runtime, what, " inside a ScopedCapture: it cannot be recorded",
-                    instead);
+      novaphy::fail(ErrorKind::Runtime, what, " inside ", current_capture()->place,
+                    ": it cannot be recorded", instead);
   }
 };
 

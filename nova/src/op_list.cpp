@@ -126,19 +126,23 @@ void OpList::before_launch(const std::shared_ptr<const void>& owner,
   before_launch_.emplace_back(owner, std::move(prepare));
 }
 
+void OpList::check_unchanged() const {
+  for (const Frozen& f : frozen_)
+    require(f.table->version() == f.version, ErrorKind::Runtime, launcher,
+            ": an index table (e.g. the contacts) was modified after the capture");
+  for (const FrozenNumber& n : frozen_numbers_)
+    if (std::bit_cast<uint32_t>(n.recorded) != std::bit_cast<uint32_t>(*n.number)) [[unlikely]]
+      novaphy::fail(ErrorKind::Runtime, launcher, ": model.", n.name, ": recorded as ", n.recorded,
+                    ", and now ", *n.number, "; record anew, or set it back");
+}
+
 void OpList::launch() const {
   require(capture == nullptr, ErrorKind::Runtime,
           "graph.launch() cannot be recorded into another capture");
   if (auto* observer = novaphy::array_observer()) observer->untracked_operation("graph.launch()");
   const std::lock_guard lock(launching_);
   const auto memory = memory_.take("graph.launch()", "what it was captured from");
-  for (const Frozen& f : frozen_)
-    require(f.table->version() == f.version, ErrorKind::Runtime,
-            "graph.launch(): an index table (e.g. the contacts) was modified after the capture");
-  for (const FrozenNumber& n : frozen_numbers_)
-    if (std::bit_cast<uint32_t>(n.recorded) != std::bit_cast<uint32_t>(*n.number)) [[unlikely]]
-      novaphy::fail(ErrorKind::Runtime, "graph.launch(): model.", n.name, ": recorded as ",
-                    n.recorded, ", and now ", *n.number, "; record anew, or set it back");
+  check_unchanged();
   for (const auto& [owner, prepare] : before_launch_) prepare();
   // Marks the ranges as written even if an operation fails or is interrupted, because some may have
   // been written.
@@ -167,6 +171,21 @@ void OpList::prepare() const {
 }
 
 void OpList::run_once() const { run(false); }
+
+void OpList::submit() const {
+  OpList* const into = recording();
+  if (into == nullptr) return launch();
+  check_unchanged();
+  for (const Op& op : ops_)
+    record(*context, op, std::span(words_).subspan(op.first_word, op.word_count),
+           std::span(accesses_).subspan(op.first_access, op.access_count));
+  for (const auto& range : written_) note_write(range);
+  for (const Frozen& f : frozen_) into->freeze(f.table, f.arrays);
+  for (const FrozenNumber& n : frozen_numbers_) into->freeze(n.number, n.name);
+  for (const auto& [owner, prepare] : before_launch_) into->before_launch(owner, prepare);
+  for (const auto& memory : memory_.all()) into->uses(memory);
+  for (const auto& [range, state] : gradients_) into->gradient(range, state);
+}
 
 detail::DeviceReplay* OpList::device_replay() const {
   if (!device_replay_ && !ops_.empty() && !context->host_accessible &&
@@ -239,6 +258,19 @@ ScopedCapture::~ScopedCapture() { end(); }
 
 OpList* current_capture() { return capture; }
 
+detail::PartCapture::PartCapture(const char* place, const char* launcher)
+    : list_(std::make_shared<OpList>()), outer_(capture) {
+  list_->place = place;
+  list_->launcher = launcher;
+  capture = list_.get();
+  detail::enter_observation();
+}
+detail::PartCapture::~PartCapture() {
+  capture = outer_;
+  list_->end_recording();
+  detail::leave_observation();
+}
+
 void submit_launch(const DeviceContext& context, novaphy_kernel* kernel, const char* name,
                    int64_t n, std::span<const uint64_t> words, const detail::RowLayout* layout,
                    std::span<const detail::MemoryAccess> accesses, const int32_t* active) {
@@ -257,21 +289,22 @@ void submit_launch(const DeviceContext& context, novaphy_kernel* kernel, const c
   launch_now(context, kernel, name, n, words);
 }
 
+void detail::submit_copy_bytes(const DeviceContext& context, void* target, const void* source,
+                               int64_t bytes) {
+  if (!recording()) return run_copy(context, target, source, bytes);
+  OpList::Op op{OpList::Op::Kind::Copy};
+  op.n = bytes;
+  op.name = "copy";
+  op.target = target;
+  op.source = source;
+  record(context, op);
+}
+
 void submit_copy(const std::shared_ptr<Range>& target, const std::shared_ptr<Range>& source) {
-  const DeviceContext& context = novaphy::device_context(target->storage().device());
-  const auto bytes = static_cast<int64_t>(target->bytes());
-  if (recording()) {
-    OpList::Op op{OpList::Op::Kind::Copy};
-    op.n = bytes;
-    op.name = "copy";
-    op.target = target->data();
-    op.source = source->data();
-    record(context, op);
-    recording()->hold(source);
-    recording()->hold(target);
-  } else {
-    run_copy(context, target->data(), source->data(), bytes);
-  }
+  detail::submit_copy_bytes(novaphy::device_context(target->storage().device()), target->data(),
+                            source->data(), static_cast<int64_t>(target->bytes()));
+  hold_in_capture(source);
+  hold_in_capture(target);
   note_write(target);
 }
 

@@ -20,7 +20,8 @@ bool Tape::Impl::carries(const Range& range) {
   const GradInfo* info = find_grad_info(range);
   if (!info) return false;  // the range does not take part in differentiation
   const Node* n = find(range);
-  return n && n->ever_written ? n->carries : info->requires_grad;
+  if (n && n->ever_written) return n->carries;
+  return outer ? outer->impl_->carries(range) : info->requires_grad;
 }
 
 // Returns the checksum of an exported value, computed once per version.
@@ -189,6 +190,8 @@ void Tape::Impl::forget() {
   nodes.clear();
   values.clear();
   written_again.clear();
+  outer = nullptr;
+  leaf_places.clear();
 }
 
 void Tape::mark_untracked(const std::shared_ptr<Range>& range, const char* why) {
@@ -216,14 +219,14 @@ Tape::~Tape() {
 
 void Tape::begin() {
   require(
-      active_tape == nullptr, ErrorKind::Runtime,
+      active_tape == impl_->outer, ErrorKind::Runtime,
       active_tape == this ? "tape: already active" : "tape: another tape is active on this thread");
   active_tape = this;
   detail::enter_observation();
 }
 void Tape::end() {
   require(active_tape == this, ErrorKind::Runtime, "tape: not active on this thread");
-  active_tape = nullptr;
+  active_tape = impl_->outer;
   detail::leave_observation();
 }
 Tape* Tape::active() { return no_grad_depth == 0 ? active_tape : nullptr; }
@@ -392,19 +395,6 @@ void Tape::backward(const Tensor& loss, const Tensor& seed) {
   NoGrad no_grad;
   impl_->backward(*n, seed);
   ++impl_->passes;
-}
-
-void Tape::zero() {
-  for (Impl::Node& n : impl_->nodes) {
-    GradInfo& info = grad_info(*n.range);
-    info.state = GradState::Zero;  // so that the next contribution stores
-    if (OpList* graph = current_capture()) {
-      info.zeroed_in_capture = graph->id();
-      graph->gradient(n.range, info.state);
-    }
-    // Code that holds a leaf's gradient must read 0 now. Other gradients are set by backward.
-    if (!n.ever_written && info.grad) submit_fill(info.grad, 0.0f);
-  }
 }
 
 }  // namespace nova

@@ -70,6 +70,7 @@ bool Tape::Impl::bound_before(const Op& op, uint32_t s) const {
 bool Tape::Impl::begin_contribution(Node& n) {
   if (n.set) return true;
   n.set = true;
+  if (outer) return begin_in_body(n);
   GradInfo& info = grad_info(*n.range);
   OpList* graph = current_capture();
   const bool leaf = !n.ever_written;
@@ -84,27 +85,6 @@ bool Tape::Impl::begin_contribution(Node& n) {
   info.state = kept ? GradState::Held : GradState::Dropped;
   if (graph) graph->gradient(n.range, info.state);
   return add;
-}
-
-const std::shared_ptr<Range>* Tape::Impl::GradientPool::take(const Range& like) {
-  const auto fits = [&](const std::shared_ptr<Range>* place) {
-    return (*place)->bytes() == like.bytes() &&
-           (*place)->storage().device() == like.storage().device();
-  };
-  const auto at = std::find_if(free_.rbegin(), free_.rend(), fits);
-  if (at == free_.rend())
-    return &all_.emplace_back(
-        Storage::allocate(like.bytes(), like.storage().device(), false)->range());
-  const std::shared_ptr<Range>* place = *at;
-  free_.erase(std::next(at).base());
-  return place;
-}
-void Tape::Impl::GradientPool::give_back(const std::shared_ptr<Range>* place) {
-  free_.push_back(place);
-}
-void Tape::Impl::GradientPool::clear() {
-  all_.clear();
-  free_.clear();
 }
 
 // Checks that the rows of a CSR sum are unchanged. The items Program also needs the unchanged table
@@ -422,7 +402,7 @@ void Tape::Impl::run_steps(const std::shared_ptr<Range>& loss_gradient, const Te
   }
   if (seed.defined()) {
     submit_copy(loss_gradient, seed.range());
-  } else {
+  } else if (loss_gradient) {
     submit_fill(loss_gradient, 1.0f);
   }
   // Operations over many rows are collected and run block by block, as long as the memory that this

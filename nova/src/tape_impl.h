@@ -175,6 +175,15 @@ struct Tape::Impl {
   std::unordered_map<const Range*, Value> values;
   std::unordered_map<const Range*, uint64_t> present;
   bool leaves_only = false;  // KeepGradients::Leaves
+  // For the tape of the body of a scan. Its operations are launched again with other values, so the
+  // scan, not the versions, says that values are those of the step.
+  struct LeafPlace {
+    std::shared_ptr<Range> memory;  // the memory of the gradient
+    bool held = false;              // whether the memory holds a gradient before the pass
+    bool reached = false;           // whether the pass contributes to it
+  };
+  Tape* outer = nullptr;  // the tape on which the scan is recorded; null: not a body
+  std::unordered_map<const Range*, LeafPlace> leaf_places;
   // Data of the last backward pass, kept to reuse its memory.
   std::vector<Step> steps;
   std::vector<const std::shared_ptr<Range>*> places;
@@ -234,13 +243,18 @@ struct Tape::Impl {
   // Returns whether another living tape recorded the value of the range.
   bool is_of_another(const Range& range) const {
     const GradInfo* info = find_grad_info(range);
-    return info && info->last_tape && info->last_tape != this &&
+    return info && info->last_tape && !is_within(info->last_tape) &&
            info->recorded_version == range.version();
+  }
+  // Returns whether this tape is the tape `impl`, or belongs to a scan on it.
+  bool is_within(const void* impl) const {
+    return impl == this || (outer && outer->impl_->is_within(impl));
   }
   void check_not_of_another(const Range& range, const std::string& op, const std::string& input);
   // Returns whether the value of an input differs from the recorded one.
   bool was_modified(const Use& use) {
     const Range& range = *use.operand.range;
+    if (outer) return false;
     return version_of(range) != use.version ||
            ((use.has_checksum || range.was_exported()) && was_modified_outside(use));
   }
@@ -257,6 +271,7 @@ struct Tape::Impl {
   // Functions that tape_backward.cpp defines.
   void backward(Node& loss, const Tensor& seed);
   void plan_steps();
+  // `loss_gradient` may be null: the gradients from which the pass starts are in their places then.
   // `stop`, if given, is called after every step and ends the pass if it returns true. Steps are
   // then not deferred.
   void run_steps(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed,
@@ -285,6 +300,7 @@ struct Tape::Impl {
   void run_again(const Op& op, DeferredScope& deferred);
   std::vector<const Use*> last_written(const Group& group) const;
   bool begin_contribution(Node& n);
+  bool begin_in_body(Node& n);  // scan_derivatives.cpp
   int32_t summed_through(size_t k, uint32_t s);
   uint32_t unread_columns(size_t k, const Operand& in);
   bool bound_before(const Op& op, uint32_t s) const;

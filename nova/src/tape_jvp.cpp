@@ -221,8 +221,8 @@ std::vector<Tensor> Tape::jvp(const std::vector<Tensor>& outputs, const std::vec
     const Impl::Node* n = impl_->find(*outputs[k].range());
     require(n && n->ever_written && n->carries, ErrorKind::Value, "jvp, output ", k,
             ": no operation of this tape wrote it from an input with a gradient");
-    require(n->written_version == impl_->version_of(*n->range), ErrorKind::Runtime, "jvp, output ",
-            k, ": it was overwritten after recording");
+    require(impl_->outer || n->written_version == impl_->version_of(*n->range), ErrorKind::Runtime,
+            "jvp, output ", k, ": it was overwritten after recording");
   }
   NoGrad no_grad;
   forward.run();

@@ -1,10 +1,11 @@
-// Bindings of Tape, no_grad, captures (Graph, ScopedCapture) and gradcheck.
+// Bindings of Tape, no_grad, captures (Graph, ScopedCapture), scan and gradcheck.
 #include "doc_nova_tape.h"
 #include "gradient_info.h"
 #include "nova_types.h"
 #include "novaphy/dynamics/diff_adjoint_record.h"
 #include "novaphy/dynamics/diff_gradient_notes.h"
 #include "novaphy/nova/gradcheck.h"
+#include "novaphy/nova/scan.h"
 
 namespace novaphy::python {
 
@@ -214,6 +215,26 @@ void bind_capture(py::module_& m) {
   py::module_::import("atexit").attr("register")(wait);
 }
 
+// scan over lists of tensors; novaphy.nova.scan takes and returns structures of tensors. `body`
+// returns a pair of lists.
+void bind_scan(py::module_& m) {
+  m.def(
+      "_scan",
+      [](const py::function& body, const std::vector<Tensor>& carry, const std::vector<Tensor>& xs,
+         std::optional<int64_t> length) {
+        using Lists = std::pair<std::vector<Tensor>, std::vector<Tensor>>;
+        const auto step = [&](const std::vector<Tensor>& c, const std::vector<Tensor>& x) {
+          const py::gil_scoped_acquire gil;
+          Lists results = body(c, x).cast<Lists>();
+          return nova::ScanResult{std::move(results.first), std::move(results.second)};
+        };
+        const ReleasedGil released;
+        nova::ScanResult found = nova::scan(step, carry, xs, length);
+        return Lists{std::move(found.carry), std::move(found.ys)};
+      },
+      "body"_a, "carry"_a, "xs"_a, "length"_a);
+}
+
 void bind_gradcheck(py::module_& m) {
   const nova::GradcheckOptions d;
   py::class_<nova::GradcheckResult>(m, "GradcheckResult",
@@ -266,6 +287,7 @@ void bind_gradcheck(py::module_& m) {
 void bind_nova_tape(py::module_& m) {
   bind_tape(m);
   bind_capture(m);
+  bind_scan(m);
   bind_gradcheck(m);
 }
 

@@ -52,6 +52,17 @@ inline void write(const Tensor& t, const std::vector<float>& values) {
   t.copy_from_host(values.data(), values.size() * sizeof(float));
 }
 
+// Returns the message of the error that a call throws.
+template <class F>
+std::string message_of(F&& call) {
+  try {
+    call();
+  } catch (const Error& error) {
+    return error.what();
+  }
+  return "nothing was thrown";
+}
+
 class Random {
  public:
   explicit Random(uint32_t seed) : engine_(seed) {}

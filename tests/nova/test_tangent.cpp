@@ -16,16 +16,6 @@ const Kernel& square() {
   return kernel;
 }
 
-template <class F>
-std::string message_of(F&& call) {
-  try {
-    call();
-  } catch (const Error& error) {
-    return error.what();
-  }
-  return "nothing was thrown";
-}
-
 TEST(Tangent, OfAChainIsTheProductOfItsDerivatives) {
   const Tensor x = tensor({1.0f, -2.0f, 0.5f}, true);
   Tape tape;

@@ -120,6 +120,7 @@ from ._networks import (  # noqa: E402
     load_parameters,
     save_parameters,
 )
+from ._scan import scan  # noqa: E402
 
 __all__ = [
     "AdjointRecord",
@@ -204,6 +205,7 @@ __all__ = [
     "relu",
     "rsqrt",
     "save_parameters",
+    "scan",
     "select",
     "set_num_threads",
     "sgd_update_f32",

@@ -126,6 +126,13 @@ class NOVAPHY_NOVA_API OpList {
   // Launches a list that runs once, for the code that recorded it. The recording has already raised
   // the versions of the outputs.
   void run_once() const;
+  // Launches the list, or appends its operations to the list of recording(). The caller keeps the
+  // list alive.
+  void submit() const;
+  const std::vector<std::shared_ptr<Range>>& written() const { return written_; }
+  // Where the list records, and how it runs, in messages.
+  const char* place = "a ScopedCapture";
+  const char* launcher = "graph.launch()";
 
   OpList();
   ~OpList();
@@ -135,8 +142,9 @@ class NOVAPHY_NOVA_API OpList {
                                                     // operations share
 
  private:
-  void run(bool again) const;  // again: the list runs repeatedly, so that making a plan is worth
-                               // its time
+  void check_unchanged() const;  // throws if a value has changed that the recording depends on
+  void run(bool again) const;    // again: the list runs repeatedly, so that making a plan is worth
+                                 // its time
   detail::HostPlan& host_plan(bool again) const;
   detail::DeviceReplay* device_replay() const;  // null: the device cannot replay graphs
   uint64_t id_;
@@ -194,6 +202,27 @@ class NOVAPHY_NOVA_API ScopedCapture {
   bool active_ = true;
 };
 NOVAPHY_NOVA_API OpList* current_capture();  // this thread's capture, or null
+
+namespace detail {
+// Records the launches of a part that runs several times, such as the body of a scan. Unlike a
+// ScopedCapture, this capture may stand inside of another capture.
+class PartCapture {
+ public:
+  PartCapture(const char* place, const char* launcher);
+  ~PartCapture();
+  PartCapture(const PartCapture&) = delete;
+  PartCapture& operator=(const PartCapture&) = delete;
+  const std::shared_ptr<OpList>& list() const { return list_; }
+
+ private:
+  std::shared_ptr<OpList> list_;
+  OpList* outer_;
+};
+// Submits a copy of bytes on one device. The caller raises versions and keeps the memory alive.
+void submit_copy_bytes(const novaphy::DeviceContext& context, void* target, const void* source,
+                       int64_t bytes);
+}  // namespace detail
+
 // Returns whether the host can read the results of a launch of this thread as soon as the launch
 // returns.
 inline bool host_can_read(novaphy::Device device) {

@@ -146,6 +146,9 @@ class NOVAPHY_NOVA_API Tape {
   struct Impl;
   static std::unique_ptr<Impl>& spare();
   std::unique_ptr<Impl> impl_;
+
+ public:
+  class ScanBody;  // internal: the recorded body of a scan
 };
 
 // Calls begin_recomputed and end_recomputed of the active tape, if one exists and `wanted` is true.

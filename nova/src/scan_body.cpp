@@ -130,8 +130,9 @@ void Tape::ScanBody::add_read(const Impl::Use& use) {
   if (use.producer >= 0 || is_argument(*range)) return;
   if (list_->writes_to(*range)) {  // a constant that the body makes, for example by fill_
     require(range->version() == use.version && !use.carries, ErrorKind::Value,
-            use.carries ? "scan, body: it reads a tensor with requires_grad that it wrote itself"
-                        : "scan, body: it reads a tensor and then writes to it; return a new tensor");
+            use.carries
+                ? "scan, body: it reads a tensor with requires_grad that it wrote itself"
+                : "scan, body: it reads a tensor and then writes to it; return a new tensor");
     return;
   }
   std::vector<Tensor>& list = use.carries ? outside_ : constants_;
@@ -230,7 +231,7 @@ CustomOp Tape::ScanBody::custom_op() {
       .jvp = [self](std::span<const Tensor> inputs,
                     std::span<const Tensor> outputs) { self->tangent(inputs, outputs); },
       .reads = xs_,
-      .submits_only = false};
+      .submits_only = false};  // the scan launches lists of its own
   if (!tape_->has_tangents()) op.jvp = nullptr;
   for (const size_t k : moving_rows_) op.inputs.push_back(xs_[k]);
   for (const auto* list : {&outside_, &constants_})

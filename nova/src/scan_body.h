@@ -16,7 +16,7 @@ namespace nova {
 class Tape::ScanBody : public std::enable_shared_from_this<Tape::ScanBody> {
  public:
   // Records the body. On an active tape, the operations of the body are recorded on a tape of their
-  // own, as one group of recomputed operations.
+  // own, as one group of recomputed operations, which records constants too.
   ScanBody(const ScanFn& body, const std::vector<Tensor>& carry, const std::vector<Tensor>& xs,
            int64_t steps);
   // Runs all steps, and records the scan on the tape.

@@ -50,6 +50,9 @@ const Tape::ScanBody::Pass& Tape::ScanBody::pass(uint32_t seeded, uint64_t held)
     n->place = &seeds_[o].range();
   }
   body.plan_steps();
+  // The list of a step, not the group of recorded operations, computes the step again, because it
+  // has launches that no tape records, such as those of detach().
+  std::erase_if(body.steps, [](const Impl::Step& step) { return step.op == nullptr; });
   body.run_steps(nullptr, {});
   body.pool.clear();
   body.scratch.clear();
@@ -89,6 +92,7 @@ void Tape::ScanBody::backward(std::span<const Tensor> outputs,
       if (of_ys >> o & 1) detail::copy_row(seeds_[o], seeds_[o], 0, of_results[o], step);
     for (size_t l = 0; step == 0 && l < carries; ++l) hold(l);
     const Pass& p = pass(seeded | of_ys, held);
+    list_->submit();
     p.list->submit();
     seeded = 0;
     for (size_t l = 0; l < carries; ++l) {
@@ -176,6 +180,7 @@ void Tape::ScanBody::tangent(std::span<const Tensor> inputs, std::span<const Ten
     load(step);
     for (size_t l = carries; l < first_outside; ++l)
       if (inputs[l].defined()) detail::copy_row(places_[l], places_[l], 0, inputs[l], step);
+    list_->submit();
     tangent_list_->submit();
     for (size_t l = 0; l < carries; ++l) store(places_[l], next_tangents_[l]);
     for (size_t o = carries, to = carries; o < seeds_.size(); ++o) {

@@ -91,7 +91,7 @@ class Tape::Impl::Forward {
   }
 
   void push(const Op& op, uint64_t wrt) {
-    if (op.group >= 0 && op.group != group_) {
+    if (op.group >= 0 && op.group != group_ && !t_.outer) {
       group_ = op.group;
       t_.check_group(t_.groups[static_cast<size_t>(group_)]);
       DeferredScope direct(false);

@@ -288,6 +288,72 @@ TEST(Scan, MayContainAScan) {
   expect_same(tangents[0], tangents[1], "tangents");
 }
 
+// A sum over the rows of a table, whose terms are read at computed rows too.
+TEST(Scan, MayReadTables) {
+  static const Kernel edges = nova::make_reduce_kernel(
+      "scan_edges", {{"x", DType::F32, 1, Access::Direct}, {"e", DType::F32, 1, Access::CsrRow}},
+      {{"y", 1}},
+      {.init = [](TraceContext& c) { return std::vector{nova::sin(c.f32(0))}; },
+       .body = [](TraceContext& c) { return std::vector{c.f32(1) * c.f32(1) * c.f32(0)}; },
+       .epilogue = {}});
+  const Tensor row_of = table({2, -1, 0, 2, 1, 0, 0}), index = table({1, 0, 2});
+  const nova::Incidence rows = nova::make_incidence(row_of.operand(), 3);
+  Floats results[2];
+  for (const bool by_scan : {false, true}) {
+    Random random(8);
+    const Tensor c = random.leaf({3}), e = random.leaf({7}, -0.5f, 0.5f);
+    const ScanFn body = [&](const Tensors& carry, const Tensors&) {
+      const Tensor next = edges(3, {carry[0], e}, {.csr = &rows})[0];
+      return ScanResult{{nova::gather(next, index)}, {}};
+    };
+    Tape tape;
+    const TapeScope scope(tape);
+    const Tensor last =
+        by_scan ? scan(body, {c}, {}, 3).carry[0] : run_loop(body, {c}, {{}, {}, {}}).carry[0];
+    tape.backward(last, tensor({1.0f, -2.0f, 3.0f}));
+    for (const Tensor& t : {last, c.grad(), e.grad()})
+      for (const float value : t.to_host()) results[by_scan].push_back(value);
+  }
+  expect_same(results[0], results[1], "value and gradients");
+}
+
+// The backward pass computes values again that no tape records: those of detach(), of slices of
+// integers, and of operations without gradients.
+TEST(Scan, ComputesUnrecordedValuesOfEachStep) {
+  const Tensor numbers = tensor({5.0f, 3.0f, 2.0f, 7.0f});
+  static const Kernel pick = nova::make_kernel(
+      "scan_pick",
+      {{"k", DType::I32, 1, Access::Uniform}, {"from", DType::F32, 1, Access::Indexed}}, {{"y", 1}},
+      [](TraceContext& c) { return std::vector{c.f32(1, c.i32(0), 0)}; });
+  Floats results[2];
+  for (const bool by_scan : {false, true}) {
+    const Tensor c = tensor({0.5f, -0.75f}, true);
+    const ScanFn body = [&](const Tensors& carry, const Tensors& x) {
+      Tensor without;
+      {
+        const NoGrad no_grad;
+        without = nova::sin(carry[0]);
+      }
+      const Tensor number = pick(1, {nova::slice(x[0], 0, 1, 1), numbers})[0];
+      const Tensor scale = nova::mul(nova::mul(carry[0].detach(), without), number);
+      return ScanResult{{nova::sin(nova::mul(carry[0], scale))}, {}};
+    };
+    Tape tape;
+    const TapeScope scope(tape);
+    Tensor last;
+    if (by_scan) {
+      last = scan(body, {c}, {table({9, 1, 9, 3, 9, 0}, 2)}).carry[0];
+    } else {
+      last = run_loop(body, {c}, {{table({9, 1})}, {table({9, 3})}, {table({9, 0})}}).carry[0];
+    }
+    tape.backward(nova::sum(last));
+    const Tensor tangent = tape.jvp({last}, {c}, {tensor({1.0f, 2.0f})})[0];
+    for (const Tensor& t : {last, c.grad(), tangent})
+      for (const float value : t.to_host()) results[by_scan].push_back(value);
+  }
+  expect_same(results[0], results[1], "value, gradient and tangent");
+}
+
 // Constants that the body makes are launches of the body, which its tape does not record.
 TEST(Scan, MayMakeConstants) {
   const Tensor c = tensor({0.5f, 1.5f}, true);

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+import novaphy
 from novaphy import nova
 
 STEPS = 12
@@ -139,6 +140,32 @@ def test_a_captured_scan_follows_new_inputs() -> None:
         direct = record()
         for a, b in zip(replayed, (direct, torques.grad, carry["angle"].grad), strict=True):
             assert np.array_equal(a, b.numpy())
+
+
+def test_gradient_descent_in_the_body() -> None:
+    def descend(x: nova.Tensor, _: None) -> tuple[nova.Tensor, nova.Tensor]:
+        x.requires_grad = True
+        with nova.Tape() as tape:
+            loss = nova.sum((x - 3.0) * (x - 3.0))
+            tape.zero()
+            tape.backward(loss)
+        return (x - 0.1 * x.grad).detach(), loss
+
+    x, losses = nova.scan(descend, nova.tensor([1.0]), length=5)
+    assert x.item() == pytest.approx(3.0 - 2.0 * 0.8**5, rel=1e-6)
+    assert losses.numpy()[:, 0] == pytest.approx([4.0 * 0.64**k for k in range(5)], rel=1e-5)
+    with nova.Tape(), pytest.raises(novaphy.Error, match="another tape is active"):
+        nova.scan(descend, nova.tensor([1.0]), length=5)
+
+
+def test_an_index_that_changes_from_step_to_step_is_refused() -> None:
+    rows = nova.tensor(np.arange(15, dtype=np.float32).reshape(5, 3))
+    with pytest.raises(novaphy.Error, match="scan: an index table .* was modified"):
+        nova.scan(
+            lambda c, k: (c + nova.gather(rows, k)[0], None),
+            nova.zeros(3),
+            nova.tensor(np.arange(4, dtype=np.int32)),
+        )
 
 
 @pytest.mark.parametrize(

@@ -32,9 +32,10 @@ using ScanFn =
 //
 // carry: float32. xs: any type. All memory is on one device.
 // ErrorKind::Value: n < 0 or not given, xs of different lengths, a carry that changes its shape, a
-// body that writes to memory from outside. ErrorKind::Type: a carry that is not float32.
-// ErrorKind::Runtime: the body reads values on the host. ErrorKind::NotImplemented: a body with a
-// rollout that reports on its gradients.
+// body that writes to its arguments, or, on a tape, to a value that it has read. ErrorKind::Type: a
+// carry that is not float32. ErrorKind::Runtime: the body reads values on the host, or an index
+// table changes from step to step. ErrorKind::NotImplemented: on a tape, a body with a rollout that
+// reports on its gradients, or with a custom operation without `forward`.
 NOVAPHY_NOVA_API ScanResult scan(const ScanFn& body, const std::vector<Tensor>& carry,
                                  const std::vector<Tensor>& xs = {},
                                  std::optional<int64_t> length = {});

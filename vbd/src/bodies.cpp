@@ -70,13 +70,14 @@ VbdBodyRows Bodies::rows() {
           .motion = direct(motion_),
           .contact = direct(contact_),
           .joint = direct(joint_),
+          .touches = touches(),
           .begin = direct(graph_.rows.begin),
           .items = direct(graph_.rows.items),
           .slip = options_.friction_epsilon * dt_};
 }
 
-// Runs one iteration: the colors of bodies, the trees, and the update of the multipliers.
 void Bodies::iterate() {
+  follow_bodies();
   for (size_t c = 0; c + 1 < graph_.colors.begin.size(); ++c) {
     const std::span<const int32_t> bodies = graph_.colors.of(static_cast<int32_t>(c));
     run(kernel_of(kInChunks<vbd_body_move, kBodies>), static_cast<int64_t>(bodies.size()),
@@ -105,18 +106,28 @@ void Bodies::iterate() {
        .contacts = static_cast<int64_t>(contact_.size()),
        .contact = direct(contact_),
        .joint = direct(joint_)});
+  place_touches();
 }
 
 // Sets the values of contacts and joints that depend on the graph of bodies. If the rows of a tree
 // close no cycle, the tree solver is direct, and the penalty stiffness rho can be high. If rows
 // close cycles, the sweeps over colors need a lower rho.
 void Bodies::put_graph() {
+  if (pairs_ != built_pairs_ || numbers_ != built_numbers_ || acting_ != built_acting_) {
+    graph_.build(model_.body_count(), pairs_, numbers_, acting_);
+    built_pairs_ = pairs_;
+    built_numbers_ = numbers_;
+    built_acting_ = acting_;
+    node_.resize(graph_.nodes.size());
+  }
   constexpr float kSofter = 0.1f;
   for (size_t k = 0; k < pairs_.size(); ++k) {
     const float factor = graph_.is_outside(pairs_[k]) ? 2.0f : 1.0f;
     const float metric = graph_.has_cycles(pairs_[k]) ? kSofter : 1.0f;
-    const auto row = static_cast<size_t>(numbers_[k] >> 2);
-    if ((numbers_[k] & 2) != 0) {
+    const auto row = static_cast<size_t>(numbers_[k] >> 3);
+    const int32_t kind = (numbers_[k] >> 1) & 3;
+    if (kind == kTouchRow) continue;
+    if (kind == kContactRow) {
       VbdBodyContact& c = contact_[row];
       c.in_trees = factor;
       c.rho *= metric;
@@ -131,9 +142,12 @@ void Bodies::put_graph() {
   }
 }
 
-void Bodies::solve(const SimState& in, const Control* control, const Contacts* contacts, float dt) {
+void Bodies::begin(const SimState& in, const Control* control, const Contacts* contacts, float dt) {
   const Model& m = model_;
   dt_ = dt;
+  start_ = in.body_q;
+  start_qd_ = in.body_qd;
+  start_f_ = in.body_f;
   check_model(control);
   check_step(in, contacts);
   int32_t* const is_kinematic = is_kinematic_.mutable_data();
@@ -163,16 +177,6 @@ void Bodies::solve(const SimState& in, const Control* control, const Contacts* c
   contact_.clear();
   contact_slots_.clear();
   if (contacts != nullptr) put_contacts(in, *contacts);
-  if (pairs_ != built_pairs_ || numbers_ != built_numbers_ || acting_ != built_acting_) {
-    graph_.build(m.body_count(), pairs_, numbers_, acting_);
-    built_pairs_ = pairs_;
-    built_numbers_ = numbers_;
-    built_acting_ = acting_;
-    node_.resize(graph_.nodes.size());
-  }
-  put_graph();
-  for (int32_t k = 0; k < options_.iterations; ++k) iterate();
-  check_result();
 }
 
 void Bodies::finish(const SimState& in, const SimState& out, const Contacts* contacts) {

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "bodies_kernels.h"
+#include "color_slots.h"
 #include "novaphy/core/device_array.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/core/sim/control.h"
@@ -65,8 +66,8 @@ struct BodyLists {
 // component of this graph.
 class BodyGraph {
  public:
-  // `pairs`: the two bodies of each row, joints first; -1: the world or a kinematic body.
-  // numbers[k] identifies row k: 4 times the index of the joint or contact, plus 2 for a contact.
+  // `pairs`: the two bodies of each row, joints first; -1: the world, a kinematic body or
+  // particles. numbers[k] identifies row k: 8 times its index, plus 2 times its kind (VbdBodyRows).
   // Only the first `acting` rows have a force at the initial guess. The remaining rows do not count
   // for cycles.
   void build(int32_t bodies, std::span<const std::array<int32_t, 2>> pairs,
@@ -101,6 +102,39 @@ class BodyGraph {
   std::vector<char> has_cycles_;  // of each tree, at the index of its root
 };
 
+// The particles of a step, as the bodies see them, and their contacts with shapes, which are sorted
+// by particle.
+struct StepParticles {
+  const ColorSlots* slots = nullptr;
+  std::span<const Vec4f> start, target;    // m
+  std::span<Vec4f> moved, x;               // m
+  std::span<const int32_t> contact_slots;  // slot in Contacts of each contact
+  float* contact_numbers = nullptr;        // see put_contact_numbers
+  const float* blocks = nullptr;           // see write_block; of the touched particles
+  float inside = 0.0f;                     // see ParticleContact
+};
+
+// Groups of particles and bodies that touched in a step, see Bodies::balance.
+struct BodyGroups {
+  struct Group {
+    bool is_balanced = false;
+    double mass = 0.0;                   // kg
+    Vec3<double> center{};               // center of mass at the start of the step (m)
+    Vec3<double> lacks{}, lacks_turn{};  // missing mass times displacement, and its moment
+    double inertia[3][3] = {};           // lower triangle
+    Vec3<double> shift{}, turn{};        // the rigid motion that the group gets
+    Vec3<double> at_point(const Vec3<double>& x) const {
+      return shift + math::cross(turn, x - center);
+    }
+  };
+  static size_t at(int32_t k) { return static_cast<size_t>(k); }
+  int32_t root(int32_t member);
+  void join(int32_t a, int32_t b);
+
+  std::vector<int32_t> next;
+  std::vector<Group> of;  // at the index of the root
+};
+
 class Bodies {
  public:
   // Errors: as for the constructor of SolverVBD.
@@ -108,8 +142,18 @@ class Bodies {
 
   // Allocates memory for the multipliers of `contacts` contacts.
   void reserve(int32_t contacts);
-  // Solves a step of dt (s). Call reserve() before. Errors: as for SolverVBD::step.
-  void solve(const SimState& in, const Control* control, const Contacts* contacts, float dt);
+  // Begins a step of dt (s). Call reserve() before. Errors: as for SolverVBD::step.
+  void begin(const SimState& in, const Control* control, const Contacts* contacts, float dt);
+  // Finds the contacts with particles. Call once in a step, before the iterations.
+  void couple(const Contacts* contacts, const StepParticles& particles);
+  std::span<const VbdTouch> touched() const { return touch_; }
+  // Runs one iteration: the colors of bodies, the trees, and the update of the multipliers. The
+  // surfaces that particles touch then move with the bodies.
+  void iterate();
+  // Gives each free group of particles and bodies that touched the momentum and the angular
+  // momentum that gravity and external forces give it.
+  void balance();
+  void check_result() const;
   // Writes the poses and velocities to `out`, the forces to `contacts`, and the multipliers to the
   // memory.
   void finish(const SimState& in, const SimState& out, const Contacts* contacts);
@@ -131,7 +175,6 @@ class Bodies {
   // bodies_checks.cpp
   void check_model(const Control* control) const;
   void check_step(const SimState& in, const Contacts* contacts) const;
-  void check_result() const;
   // bodies_contacts.cpp
   void put_contacts(const SimState& in, const Contacts& contacts);
   void put_contact(const SimState& in, const Contacts& contacts, size_t slot);
@@ -147,7 +190,19 @@ class Bodies {
   float joint_coordinate(size_t joint, const VbdBodyJoint& j) const;
   void keep_joints(const SimState& in);
   void put_graph();
-  void iterate();
+  // bodies_touches.cpp
+  void put_touch(const Contacts& contacts, int32_t contact);
+  void follow_bodies();
+  void place_touches();
+  VbdTouches touches();
+  // bodies_balance.cpp
+  void find_groups();
+  template <class OfParticle, class OfBody>
+  void for_members(const OfParticle& of_particle, const OfBody& of_body);
+  template <class Visit>
+  void for_masses(const Visit& visit);
+  Vec3f start_center(size_t body) const;
+  Vec3f lacking_spin(size_t body) const;
 
   const Model& model_;
   const VbdOptions options_;
@@ -160,6 +215,15 @@ class Bodies {
   std::vector<VbdBodyContact> contact_;
   std::vector<VbdBodyJoint> joint_;
   std::vector<VbdBodyNode> node_;
+  // Poses, velocities and forces at the start of the step.
+  DeviceArray<Transformf> start_;
+  DeviceArray<SpatialVectorf> start_qd_, start_f_;
+  StepParticles particles_;
+  std::vector<VbdTouch> touch_;
+  std::vector<int32_t> touched_bodies_;  // the body of each contact with a particle
+  IndexRows touches_of_;                 // the contacts of each body with particles
+  std::vector<int32_t> near_world_;      // the particles of the contacts with world-owned shapes
+  BodyGroups groups_;
   std::vector<int32_t> contact_slots_, joints_;  // the contact slot or joint of each row
   std::vector<int32_t> recalled_;                // rows of the memory, sorted by contact
   std::vector<std::array<int32_t, 2>> pairs_, built_pairs_;

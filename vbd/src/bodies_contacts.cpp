@@ -39,7 +39,7 @@ void Bodies::put_contacts(const SimState& in, const Contacts& contacts) {
                                         motion_of(motion_.data(), c.body[1]));
       if ((depth > 0.0f || c.lam_n > 0.0f) != pushes) continue;
       pairs_.push_back({moving(0), moving(1)});
-      numbers_.push_back(4 * static_cast<int32_t>(k) + 2);
+      numbers_.push_back(8 * static_cast<int32_t>(k) + 2 * kContactRow);
     }
     if (pushes) acting_ = pairs_.size();
   }

@@ -82,7 +82,7 @@ void Bodies::put_joints(const SimState& in, const Control* control) {
     }
     put_axis(k, in, control, j);
     pairs_.push_back({a.moves ? j.body[0] : -1, b.moves ? j.body[1] : -1});
-    numbers_.push_back(4 * static_cast<int32_t>(joint_.size()));
+    numbers_.push_back(8 * static_cast<int32_t>(joint_.size()) + 2 * kJointRow);
     joint_.push_back(j);
     joints_.push_back(static_cast<int32_t>(k));
   }

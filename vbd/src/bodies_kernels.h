@@ -14,6 +14,8 @@
 #include "novaphy/math/spatial.h"
 #include "novaphy/vbd/bodies/contact_law.h"
 #include "novaphy/vbd/bodies/joint_law.h"
+#include "novaphy/vbd/bodies/touch_law.h"
+#include "novaphy/vbd/sweep_kernels.h"
 
 namespace novaphy {
 
@@ -79,19 +81,46 @@ NOVAPHY_ROW_KERNEL(vbd_body_predict, VbdBodyPredictArguments) {
   a.motion[row] = motion;
 }
 
-// The inputs of all kernels of an iteration. An item of a body is 4 times the index of the contact
-// or joint, plus 2 for a contact, plus the side of the body (0 or 1).
+// The contacts of particles with bodies (touch_law.h).
+struct VbdTouches {
+  NOVAPHY_ARGUMENTS(Updates<VbdTouch> touch;
+                    Reads<int32_t> begin, items;  // the contacts of each body
+                    Updates<float> numbers;       // of all contacts, see put_contact_numbers
+                    Reads<VbdRow> x, start;       // of particles
+                    Number<float> slip, inside;)  // see ParticleContact
+};
+
+// The inputs of all kernels of an iteration. An item of a body is 8 times the index of a row, plus
+// 2 times its kind, plus the side of the body (0 or 1). The row kTouchRow stands for all contacts
+// of the body with particles.
+constexpr int32_t kJointRow = 0, kContactRow = 1, kTouchRow = 2;
 struct VbdBodyRows {
   NOVAPHY_ARGUMENTS(Reads<VbdBody> body; Updates<VbdBodyMotion> motion;
                     Reads<VbdBodyContact> contact; Reads<VbdBodyJoint> joint;
-                    Reads<int32_t> begin, items;  // of each body
-                    Number<float> slip;)          // m: slip bound of contact_force
+                    Part<VbdTouches> touches; Reads<int32_t> begin, items;  // of each body
+                    Number<float> slip;)  // m: slip bound of contact_force
 };
 
 namespace vbd {
 
 inline VbdBodyMotion motion_of(const VbdBodyMotion* motion, int32_t body) {
   return body < 0 ? VbdBodyMotion{} : motion[body];
+}
+
+inline ParticleContact<float> touch_contact(const VbdTouches& a, const VbdTouch& t,
+                                            const VbdBodyMotion& motion) {
+  return touch_contact(t, motion, a.numbers + static_cast<int64_t>(t.contact) * kContactFloats,
+                       a.slip.value, a.inside.value);
+}
+
+// Adds the forces of all contacts with particles to the block of a body.
+template <bool with_stiffness>
+void add_touches(BodyBlock& b, const VbdTouches& a, int32_t body, const VbdBodyMotion& motion) {
+  for (int32_t k = a.begin[body]; k < a.begin[body + 1]; ++k) {
+    const VbdTouch& t = a.touch[a.items[k]];
+    add_touch<with_stiffness>(b, t, motion, a.x[t.particle], a.start[t.particle],
+                              touch_contact(a, t, motion));
+  }
 }
 
 // The part of a block to compute: force and stiffness, both with the factors of trees (in_trees),
@@ -116,8 +145,12 @@ BodyBlock block_of(const VbdBodyRows& a, int32_t body, float (*edge)[6] = nullpt
   constexpr bool with_stiffness = part != BlockPart::Force;
   BodyBlock b = inertia_block(a.body[body], a.motion[body]);
   for (int32_t k = a.begin[body]; k < a.begin[body + 1]; ++k) {
-    const int32_t row = a.items[k] >> 2, side = a.items[k] & 1;
-    const bool touches = (a.items[k] & 2) != 0;
+    const int32_t row = a.items[k] >> 3, kind = (a.items[k] >> 1) & 3, side = a.items[k] & 1;
+    if (kind == kTouchRow) {
+      add_touches<with_stiffness>(b, a.touches, body, a.motion[body]);
+      continue;
+    }
+    const bool touches = kind == kContactRow;
     const int32_t* const bodies = touches ? a.contact[row].body : a.joint[row].body;
     const float in_trees = touches ? a.contact[row].in_trees : a.joint[row].in_trees;
     const float factor = part == BlockPart::Trees ? in_trees : 1.0f;
@@ -138,6 +171,39 @@ BodyBlock block_of(const VbdBodyRows& a, int32_t body, float (*edge)[6] = nullpt
 }
 
 }  // namespace vbd
+
+struct VbdTouchPlaceArguments {
+  NOVAPHY_ARGUMENTS(Part<VbdTouches> touches; Reads<VbdBodyMotion> motion;)
+};
+// Moves the surface of a contact with its body: the numbers that the sweeps of the particles read.
+NOVAPHY_ROW_KERNEL(vbd_touch_place, VbdTouchPlaceArguments) {
+  VbdTouch& t = a.touches.touch[row];
+  const vbd::ParticleContact<float> c = vbd::touch_contact(a.touches, t, a.motion[t.body]);
+  vbd::note_touch(t, c, a.touches.x[t.particle]);
+  const Vec3f &point = c.point, &travel = c.travel;
+  float* const to = a.touches.numbers + static_cast<int64_t>(t.contact) * vbd::kContactFloats;
+  to[0] = point.x;
+  to[1] = point.y;
+  to[2] = point.z;
+  to[6] = travel.x;
+  to[7] = travel.y;
+  to[8] = travel.z;
+}
+
+struct VbdTouchArguments {
+  NOVAPHY_ARGUMENTS(Part<VbdTouches> touches; Reads<VbdBodyMotion> motion;
+                    Reads<float> blocks;)  // of particles, see write_block
+};
+NOVAPHY_ROW_KERNEL(vbd_touch, VbdTouchArguments) {
+  VbdTouch& t = a.touches.touch[row];
+  vbd::linearize_touch(t, a.touches.x[t.particle], a.touches.start[t.particle],
+                       vbd::touch_contact(a.touches, t, a.motion[t.body]),
+                       a.blocks + 9 * static_cast<int64_t>(t.particle));
+}
+
+NOVAPHY_ROW_KERNEL(vbd_write_block, VbdSweepArguments) {
+  vbd::write_block(vbd::LaneGroup<float>(a, row));
+}
 
 struct VbdBodyMoveArguments {
   NOVAPHY_ARGUMENTS(Part<VbdBodyRows> rows; ReadsRow<int32_t> bodies;)

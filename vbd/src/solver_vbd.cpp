@@ -188,12 +188,12 @@ void SolverVBD::step(SimState& state_in, SimState& state_out, const Control* con
     m.check_structure(kName);
     if (contacts != nullptr) w.reserve(contacts->rigid_contact_max());
     inputs.last_velocity = w.last;
-    w.bodies->solve(state_in, control, contacts, dt);
+    w.bodies->begin(state_in, control, contacts, dt);
   }
   w.step.run(
       inputs,
       {.q = state_out.particle_q, .qd = state_out.particle_qd, .updates_last = w.last.rows() != 0},
-      in_use());
+      in_use(), w.bodies ? &*w.bodies : nullptr);
   if (w.bodies) w.bodies->finish(state_in, state_out, contacts);
   w.has_stepped = true;
   if (options_.converged) w.solve(options_);

@@ -321,11 +321,11 @@ VbdAccelerateArguments Step::acceleration(int32_t iteration) const {
 }
 
 void Step::run(const StepInputs& in, const StepResults& out,
-               const std::shared_ptr<ExclusiveUse>& in_use) {
+               const std::shared_ptr<ExclusiveUse>& in_use, Bodies* bodies) {
   const bool is_immediate = this->is_immediate();
   has_contacts_ = in.contacts != nullptr && in.contacts->soft_contact_max() > 0;
   if (is_immediate && has_contacts_) {
-    check_contacts(*in.contacts);
+    check_contacts(*in.contacts, bodies != nullptr);
     has_contacts_ = *in.contacts->soft_contact_count.data() > 0;
   }
   if (has_contacts_) reserve_contacts(in.contacts->soft_contact_max());
@@ -354,14 +354,19 @@ void Step::run(const StepInputs& in, const StepResults& out,
     novaphy::run(kernels().target, kinematic_count(),
                  {.kinematic = kinematic_, .targets = in.targets, .x = x_});
   iterations_run_ = options_.iterations;
+  if (bodies != nullptr) couple(*bodies, in.contacts);
   if (self_contact_) {
-    iterate_in_contact();
+    iterate_in_contact(bodies);
+  } else if (bodies != nullptr) {
+    iterate_with(*bodies);
   } else if (options_.tolerance) {
     iterate_to(static_cast<double>(*options_.tolerance), *list_);
   } else {
     list_->iterate(0, static_cast<size_t>(options_.iterations));
   }
   if (is_immediate) check_positions();
+  list_->balance();
+  if (bodies != nullptr) end_with(*bodies);
   list_->finish();
 }
 
@@ -370,6 +375,9 @@ void Step::iterate_again() {
   ++iterations_run_;
 }
 
-void Step::finish_again() const { list_->finish(); }
+void Step::finish_again() const {
+  list_->balance();
+  list_->finish();
+}
 
 }  // namespace novaphy::vbd

@@ -37,6 +37,8 @@ DeviceArray<T> upload(const std::vector<U>& values, Device device) {
   return upload<T>(values.data(), values.size(), device);
 }
 
+class Bodies;
+
 class Step {
  public:
   using Rows4 = DeviceArray<Vec4f>;  // a row of four floats for each particle
@@ -51,8 +53,9 @@ class Step {
   // damping terms even if all coefficients are 0. Errors: as for SolverVBD::step.
   void update(float dt, bool damps = false);
   // Runs a step. `in_use` marks the memory of the solver as used, and a recording keeps this mark.
+  // `bodies`: the rigid bodies, after Bodies::begin, for a step that runs at once. Null: none.
   void run(const StepInputs& in, const StepResults& out,
-           const std::shared_ptr<ExclusiveUse>& in_use);
+           const std::shared_ptr<ExclusiveUse>& in_use, Bodies* bodies = nullptr);
   // For use after a run that stored no iterates: iterate_again runs one more iteration, and
   // finish_again writes the results from the current x.
   void iterate_again();
@@ -167,7 +170,7 @@ class Step {
   void find_block_groups();
   void reserve_iterates();
   // step_checks.cpp
-  void check_contacts(const Contacts& contacts) const;
+  void check_contacts(const Contacts& contacts, bool has_bodies) const;
   void check_inputs(const StepInputs& in);
   void check_positions() const;
   // step_residual.cpp
@@ -188,7 +191,13 @@ class Step {
   StepList& list_for(const StepInputs& in, const StepResults& out);
   int64_t find_mover() const;
   // step_self_contact.cpp
-  void iterate_in_contact();
+  void iterate_in_contact(Bodies* bodies);
+  // step_bodies.cpp
+  void couple(Bodies& bodies, const Contacts* contacts);
+  void find_touched_groups(const Bodies& bodies);
+  void iterate_bodies(Bodies& bodies);
+  void iterate_with(Bodies& bodies);
+  void end_with(Bodies& bodies) const;
 
   const Model& model_;
   const VbdOptions options_;
@@ -213,8 +222,10 @@ class Step {
   std::vector<Rows4> iterates_, searches_;  // see before() and search()
   DeviceArray<int32_t> contact_begin_, contact_items_;
   DeviceArray<float> contact_numbers_, of_particles_;
-  DeviceArray<int32_t> faults_;    // of each particle, see vbd::note_fault
-  DeviceArray<int32_t> overflow_;  // see VbdContactArguments
+  DeviceArray<float> blocks_;            // of particles that bodies touch, see write_block
+  DeviceArray<int32_t> touched_filled_;  // of groups: `filled` if bodies touch one, else 0
+  DeviceArray<int32_t> faults_;          // of each particle, see vbd::note_fault
+  DeviceArray<int32_t> overflow_;        // see VbdContactArguments
   mutable std::vector<ParticleResidual> residuals_;
   struct Motion {
     Rows start, target;
@@ -225,6 +236,7 @@ class Step {
   struct Sums {  // squares of VbdResidual::force, of scale, and of floor times scale
     double force, scale, rounding;
   };
+  std::vector<char> is_touched_;  // of particles, in find_touched_groups
   // Memory of find_motion, sum_residuals and iterate_to, on the host.
   mutable Motion motion_;
   mutable std::vector<Sums> sums_;

@@ -11,7 +11,7 @@ constexpr const char* kName = "SolverVBD.step";
 
 }  // namespace
 
-void Step::check_contacts(const Contacts& contacts) const {
+void Step::check_contacts(const Contacts& contacts, bool has_bodies) const {
   constexpr const char* kContacts = "SolverVBD.step: contacts";
   const Model& m = model_;
   const int32_t count = *contacts.soft_contact_count.data();
@@ -28,9 +28,10 @@ void Step::check_contacts(const Contacts& contacts) const {
     require(shape[slot] >= 0 && shape[slot] < m.shape_count(), ErrorKind::Index, kContacts,
             ".soft_contact_shape[", slot, "]: expected 0 to ", m.shape_count() - 1, ", got ",
             shape[slot]);
-    require(body[shape[slot]] < 0, ErrorKind::NotImplemented, kContacts, ": slot ", slot,
-            " touches shape ", shape[slot], " of body ", body[shape[slot]],
-            "; contacts with bodies are not supported; use SolverSemiImplicit");
+    require(has_bodies || body[shape[slot]] < 0, ErrorKind::NotImplemented, kContacts, ": slot ",
+            slot, " touches shape ", shape[slot], " of body ", body[shape[slot]],
+            "; gradients through contacts with bodies are not supported; use SolverVBD or "
+            "DiffSolverSemiImplicit");
   }
 }
 

@@ -31,7 +31,8 @@ class StepList {
   void iterate(size_t first, size_t last) const {
     list_.run(iterations_[first], iterations_[last]);
   }
-  void finish() const { list_.run(iterations_.back(), again_); }
+  void balance() const { list_.run(iterations_.back(), finish_.number); }
+  void finish() const { list_.run(finish_.number, again_); }
   // Runs one more iteration, without acceleration.
   void move_again() const { list_.run(again_, list_.size()); }
 

@@ -12,7 +12,7 @@ using GroupKernel = void(const uint64_t* words, int64_t n, int64_t begin, int64_
 struct SweepLevel {
   const char* name;
   int lanes;
-  GroupKernel *prepare, *move, *move_guarded, *residual, *adjoint, *adjoint_outer,
+  GroupKernel *prepare, *move, *move_guarded, *residual, *write_block, *adjoint, *adjoint_outer,
       *adjoint_stiffness, *adjoint_start, *tangent, *tangent_stiffness, *tangent_start,
       *coarse_rows, *coarse_force, *coarse_outer;
 };

@@ -77,9 +77,10 @@ struct VbdResidual {
 
 // The solver supports particles with springs, triangles, bending edges, tetrahedra, external
 // forces, gravity, and soft contacts with shapes of the world. On the CPU it also supports rigid
-// bodies with their contacts and joints (src/bodies.h). The following features are not supported.
+// bodies with their contacts and joints (src/bodies.h), and contacts of particles with bodies, which
+// act on both. The following features are not supported.
 // The constructor or the step raises ErrorKind::NotImplemented and names the feature:
-// - contacts of particles with shapes of bodies; bodies on a device or in a capture;
+// - bodies on a device or in a capture;
 // - D6, PLANAR and mimic joints, actuators, velocity limits, drives of BALL joints;
 // - `tolerance` and `converged` in a model with bodies;
 // - drag and lift of triangles;
@@ -133,7 +134,7 @@ class NOVAPHY_VBD_API SolverVBD : public SolverBase {
   // ErrorKind::Runtime: contacts overflowed, or positions or poses do not stay finite. state_out is
   // then not written. ErrorKind::Runtime: an input carries a gradient under a Tape.
   // ErrorKind::Runtime: `converged` found no solution. state_out then holds the last iterate.
-  // ErrorKind::NotImplemented: a contact with a shape of a body, or `converged` in a capture.
+  // ErrorKind::NotImplemented: `converged` in a capture.
   void step(SimState& state_in, SimState& state_out, const Control* control,
             const Contacts* contacts, float dt) override {
     step(state_in, state_out, control, contacts, dt, nullptr);

@@ -39,7 +39,7 @@ struct VbdSweepArguments {
                     Number<int64_t> turns;  // 1: argument `turns` of block_of is true
                     Number<int64_t> first_group, end_group,
                     block_groups;            // groups of a thread block: 1 or kVbdLargeBlock
-                    Writes<float> residual;  // output of vbd_residual
+                    Writes<float> residual;  // output of vbd_residual and of write_block
   )
 };
 
@@ -302,6 +302,18 @@ void move(const LaneGroup<S>& g) {
   const Vec3<S> moved = g.at(g.a.moved) + d;
   g.put(g.a.moved, moved);
   g.put(g.a.to, g.at(g.a.start) + moved);
+}
+
+// Writes the block of each particle to `residual`, nine numbers for each particle: f, and then the
+// entries of H in the order of Block.
+template <class S>
+void write_block(const LaneGroup<S>& g) {
+  if (g.filled == 0) return;
+  const Block<S> b = block_at(g, g.at(g.a.x));
+  const S all[9] = {b.f.x, b.f.y, b.f.z, b.h00, b.h11, b.h22, b.h01, b.h02, b.h12};
+  for (int l = 0; l < g.filled; ++l)
+    for (int k = 0; k < 9; ++k)
+      g.a.residual[9 * static_cast<int64_t>(g.particle[l]) + k] = LaneAccess<S>::get(all[k], l);
 }
 
 // The part of a particle in the sums of a residual. force: |f|^2. parts: the square of the sum of

@@ -82,6 +82,15 @@ def test_a_projectile_follows_implicit_euler() -> None:
     assert np.allclose(state.body_qd.numpy()[0, :3], (1, 2, 3 - G * 0.5), atol=2e-6)
 
 
+@pytest.mark.parametrize("guess", ["previous", "adaptive"])
+def test_a_body_that_touches_nothing_does_not_depend_on_the_guess(guess: str) -> None:
+    builder = builder_of()
+    builder.body_qd[add_box(builder, (0, 0, 5))] = (1, 2, 3, 1, 2, 3)
+    model = builder.finalize()
+    state, expected = run(model, 20, initial_guess=guess), run(model, 20)
+    assert np.array_equal(state.body_q.numpy(), expected.body_q.numpy())
+
+
 def test_a_free_spin_keeps_energy_and_momentum() -> None:
     builder = builder_of(gravity=0.0)
     body = builder.add_body(mass=1.0, inertia=np.diag([0.02, 0.05, 0.06]), com=(0.1, 0, 0))

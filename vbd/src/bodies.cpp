@@ -142,6 +142,17 @@ void Bodies::put_graph() {
   }
 }
 
+// Moves the bodies without rows to their inertial targets. The iterations move the other bodies.
+void Bodies::move_free_bodies() {
+  for (int32_t b = 0; b < model_.body_count(); ++b) {
+    if (is_kinematic_.data()[b] != 0 || !graph_.rows.of(b).empty()) continue;
+    const VbdBody& body = body_[static_cast<size_t>(b)];
+    motion_[static_cast<size_t>(b)] = {.moved = body.target,
+                                       .turned = body.target_turned,
+                                       .turn = log_rotation(body.target_turned)};
+  }
+}
+
 void Bodies::begin(const SimState& in, const Control* control, const Contacts* contacts, float dt) {
   const Model& m = model_;
   dt_ = dt;

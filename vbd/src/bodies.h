@@ -190,6 +190,7 @@ class Bodies {
   float joint_coordinate(size_t joint, const VbdBodyJoint& j) const;
   void keep_joints(const SimState& in);
   void put_graph();
+  void move_free_bodies();
   // bodies_touches.cpp
   void put_touch(const Contacts& contacts, int32_t contact);
   void follow_bodies();

@@ -38,6 +38,7 @@ void Bodies::couple(const Contacts* contacts, const StepParticles& particles) {
     numbers_.push_back(8 * body + 2 * kTouchRow);
   }
   put_graph();
+  if (options_.iterations > 0) move_free_bodies();
   place_touches();
 }
 

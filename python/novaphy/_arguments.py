@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from . import _core
-from ._planned import ARGUMENTS
+from ._argument_names import ARGUMENTS
 
 _INT32 = range(-(2**31), 2**31)
 _OURS = "novaphy._core."

@@ -270,47 +270,6 @@ NOT_BUILT: dict[str, str] = {
     "this solver": "SolverKamino SolverSteel SolverStyle3D experimental style3d",
 }
 
-# NovaPhy's name of an argument -> names of the argument in other projects.
-ARGUMENTS: dict[str, str] = {
-    "target_pos": "target_q",
-    "target_vel": "target_qd",
-    "y": "height, along the up axis of the builder",
-    "contact_matching": "Contacts.match(previous) behind collide",
-    "contact_report": "Contacts.match(previous) behind collide",
-    "shape_pairs_max": "rigid_contact_max; the memory for pairs needs no bound",
-    "update_mass_matrix_interval": "nothing: every step factors the mass matrix",
-    "use_tile_gemm": "nothing: there is one way to factor the mass matrix",
-    "fuse_cholesky": "nothing: there is one way to factor the mass matrix",
-    "deterministic": "nothing: a step has the same bits in every run",
-    "enable_fast_math": "nothing: a step has the same bits everywhere",
-    "collision_pipeline": "CollisionPipeline.collide before step, or pipeline= of rollout",
-    "collision_frequency": "CollisionPipeline.collide as often as contacts are to be found",
-    "joint_mimic_ke": "SolverFeatherstone, whose mimic joints follow exactly",
-    "joint_mimic_kd": "SolverFeatherstone, whose mimic joints follow exactly",
-    "rigid_contact_history": "nothing: contacts start from the forces of the step before",
-    "rigid_contact_hard": "ShapeConfig.ke: contacts of bodies are compliant",
-    "rigid_compliant_alm": "nothing: contacts have the compliant form",
-    "integrate_with_external_rigid_solver": "kinematic bodies (add_body(is_kinematic=True))",
-    "rigid_avbd_alpha": "nothing: a step leaves 0.95 of the error of a joint",
-    "rigid_contact_alpha": "nothing: a step leaves 0.95 of the error of a joint",
-    "rigid_joint_alpha": "nothing: a step leaves 0.95 of the error of a joint",
-    "rigid_avbd_beta_linear": "nothing: the iteration takes its stiffness from the masses",
-    "rigid_avbd_beta_angular": "nothing: the iteration takes its stiffness from the masses",
-    "rigid_linear_beta": "nothing: the iteration takes its stiffness from the masses",
-    "rigid_angular_beta": "nothing: the iteration takes its stiffness from the masses",
-    "initial_penalty": "nothing: the iteration takes its stiffness from the masses",
-    "rigid_contact_k_start_value": "nothing: the iteration takes its stiffness from the masses",
-    "rigid_joint_linear_k_start": "nothing: the iteration takes its stiffness from the masses",
-    "rigid_joint_angular_k_start": "nothing: the iteration takes its stiffness from the masses",
-    "rigid_avbd_gamma": "nothing: the next step starts from 0.999 of the forces",
-    "rigid_joint_linear_ke": "nothing: joints are hard",
-    "rigid_joint_linear_kd": "nothing: joints are hard",
-    "rigid_joint_angular_ke": "nothing: joints are hard",
-    "rigid_joint_angular_kd": "nothing: joints are hard",
-    "rigid_body_contact_buffer_size": "nothing: bodies have any number of contacts",
-    "max_contacts_per_pair": "nothing: bodies have any number of contacts",
-}
-
 
 class PlannedError(NotImplementedError, AttributeError):
     """Raised for a member that is not supported. Also an AttributeError, so that hasattr returns

@@ -101,8 +101,14 @@ def test_options_are_kept_and_bad_ones_are_refused():
     ):
         with pytest.raises(ValueError, match=text):
             solver_of(builder, **options)
-    with pytest.raises(TypeError, match="rigid_avbd_alpha"):
-        solver_of(builder, rigid_avbd_alpha=0.9)
+    for name, instead in (
+        ("rigid_avbd_alpha", "0.95"),
+        ("rigid_body_particle_contact_buffer_size", "any number"),
+        ("particle_topological_contact_filter_threshold", "common particle"),
+        ("integrate_with_external_rigid_solver", "is_kinematic"),
+    ):
+        with pytest.raises(TypeError, match=f"'{name}'; use .*{instead}"):
+            solver_of(builder, **{name: 1})
     with pytest.raises(ValueError, match=r"call ModelBuilder.color\(\)"):
         novaphy.solvers.SolverVBD(cloth().finalize())
     with pytest.raises(NotImplementedError, match="drag"):

@@ -6,6 +6,10 @@ slide: a box slides until it stops. Prints the distance relative to v^2/(2 mu g)
     1/120 and 1/240 s.
 chain: 10 or 40 links without contacts hang from the world and start level. The last link may be
     100 times as heavy. Prints the largest gap of a joint, and the energy above that of the start.
+sheet: a box meets a free sheet of 0.34 kg, without gravity. Prints the momentum that is lost over
+    the momentum handed over. Only SolverVBD.
+hammock: a ball of 5 kg falls into a sheet with two fixed borders. Prints the force of its contacts
+    over its weight after 2 s, and its speed. Only SolverVBD.
 
 Each scene and solver prints a JSON line with the median time of a step (us), without the search for
 contacts.
@@ -150,6 +154,59 @@ def swing(make: Callable, links: int, heavy: float) -> dict[str, float]:
     }  # fmt: skip
 
 
+def add_sheet(builder: novaphy.ModelBuilder, cells: int, tri_ke: float, fixed: bool) -> None:
+    """Add a square sheet of cells of 5 cm around the z axis, 2 g for each particle."""
+    edge = -0.025 * cells
+    builder.add_cloth_grid(
+        pos=(edge, edge, 0), dim_x=cells, dim_y=cells, cell_x=0.05, cell_y=0.05, mass=2e-3,
+        tri_ke=tri_ke, tri_ka=tri_ke, tri_kd=1e-3 * tri_ke, edge_ke=1e-3, particle_radius=0.01,
+        fix_left=fixed, fix_right=fixed,
+    )  # fmt: skip
+
+
+def finalize(builder: novaphy.ModelBuilder) -> novaphy.Model:
+    """Return the model, whose soft contacts have the material of the shapes without damping."""
+    builder.color()
+    model = builder.finalize()
+    model.soft_contact_ke, model.soft_contact_kd = 1e4, 0.0
+    return model
+
+
+def sheet(mass: float, coarse: str | None) -> dict[str, Any]:
+    """Let a box of a mass meet a free sheet. Return the loss of momentum."""
+    builder = novaphy.ModelBuilder(gravity=0.0)
+    config = novaphy.ShapeConfig(ke=1e4, kd=0.0, mu=MU, density=mass / 0.008)
+    add_sheet(builder, 12, 1e3, fixed=False)
+    body = builder.add_body(xform=((0.03, 0.0, 0.12), IDENTITY))
+    builder.add_shape_box(body, hx=HALF, hy=HALF, hz=HALF, cfg=config)
+    builder.body_qd[body] = (0.0, 0.0, -2.0, 0.0, 0.0, 0.0)
+    model = finalize(builder)
+    masses = model.particle_mass.numpy().astype(float)
+    state, us = run(SolverVBD(model, coarse=coarse), 12, 1 / 240, lambda k, state: None)
+    speed = float(state.body_qd.numpy()[body, 2])
+    handed = mass * (speed + 2.0)
+    lost = handed + float(masses @ state.particle_qd.numpy()[:, 2].astype(float))
+    return {"mass": mass, "coarse": coarse, "lost": abs(lost) / handed, "speed": speed, "us": us}
+
+
+def hammock(guess: str) -> dict[str, Any]:
+    """Let a ball fall into a hammock. Return the force of its contacts over its weight."""
+    builder = novaphy.ModelBuilder()
+    density = 5.0 / (4 / 3 * np.pi * HALF**3)
+    add_sheet(builder, 12, 2e3, fixed=True)
+    body = builder.add_body(xform=((0.0, 0.0, 0.12), IDENTITY))
+    config = novaphy.ShapeConfig(ke=1e4, kd=0.0, mu=MU, density=density)
+    builder.add_shape_sphere(body, radius=HALF, cfg=config)
+    state, us = run(
+        SolverVBD(finalize(builder), initial_guess=guess), 240, 1 / 120, lambda k, state: None
+    )
+    apart = state.body_q.numpy()[body, 2] - state.particle_q.numpy()[:, 2]
+    distance = np.linalg.norm(state.body_q.numpy()[body, :3] - state.particle_q.numpy(), axis=1)
+    force = 1e4 * float((apart * (HALF + 0.01 - distance).clip(0) / distance).sum())
+    speed = float(np.abs(state.body_qd.numpy()[body, :3]).max())
+    return {"guess": guess, "force_over_weight": force / (5.0 * G), "speed": speed, "us": us}
+
+
 def main() -> None:
     """Print a JSON line for each scene and solver."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -166,6 +223,15 @@ def main() -> None:
             for n in (10, 40)
             for heavy in (1.0, 100.0)
         ]
+        if name == "vbd":
+            records += [
+                ("sheet", lambda mass=mass, coarse=coarse: sheet(mass, coarse))
+                for mass in (0.0034, 0.34, 34.0)
+                for coarse in (None, "auto")
+            ]
+            records += [
+                ("hammock", lambda guess=guess: hammock(guess)) for guess in ("inertia", "previous")
+            ]
         for scene, record in records:
             print(json.dumps({"scene": scene, "solver": name, **record()}), flush=True)
 

@@ -12,10 +12,13 @@
 namespace novaphy::diff {
 
 namespace {
+// `held`: MotionCounts::held of all steps, or null.
 GradientInfo info_of(const Model& model, const GradientNotes& notes, const TouchList& touches,
-                     bool moves) {
-  const MotionCounts motion = touches.counts();
-  GradientInfo info = novaphy::gradient_info(notes.counts(model), false, moves ? &motion : nullptr);
+                     DerivativeOf derivative, const char* held) {
+  MotionCounts motion = touches.counts();
+  if (held != nullptr) motion.held = held;
+  GradientInfo info = novaphy::gradient_info(notes.counts(model), false,
+                                             derivative == DerivativeOf::Code ? nullptr : &motion);
   info.steps_per_contact = steps_per_contact(model, notes.chain());
   return info;
 }
@@ -25,13 +28,18 @@ struct DiffSemiImplicitSolver::Witness : GradientWitness {
   std::shared_ptr<const Model> model;
   GradientNotes notes;
   TouchList touches;
-  bool moves;
-  const char* unrecorded;
-  Witness(std::shared_ptr<const Model> of, bool motion, const char* without)
-      : model(std::move(of)), moves(motion), unrecorded(without) {}
-  GradientInfo info() const override { return info_of(*model, notes, touches, moves); }
+  DerivativeOf derivative;
+  const char *held, *unrecorded;
+  Witness(const DiffSemiImplicitSolver& of)
+      : model(of.model()),
+        derivative(of.config_.contact_gradient),
+        held(of.without_motion()),
+        unrecorded(of.without_record()) {}
+  GradientInfo info() const override { return info_of(*model, notes, touches, derivative, held); }
   MotionEvents events() const override { return touches.counts().events; }
-  bool has_events() const override { return moves; }
+  bool has_events() const override {
+    return derivative != DerivativeOf::Code && held == nullptr && touches.held == nullptr;
+  }
   const char* without_record() const override {
     const bool all_kept = !notes.chain().empty() || notes.counts(*model).steps == 0;
     return unrecorded == nullptr && !all_kept ? "DiffSemiImplicitSolver with checkpoints"
@@ -42,9 +50,14 @@ struct DiffSemiImplicitSolver::Witness : GradientWitness {
 };
 
 std::shared_ptr<DiffSemiImplicitSolver::Witness> DiffSemiImplicitSolver::witness() {
-  return witness_on_tape(witness_, [this] {
-    return std::make_shared<Witness>(model(), motion_ != nullptr, without_record());
-  });
+  return witness_on_tape(witness_, [this] { return std::make_shared<Witness>(*this); });
+}
+
+const char* DiffSemiImplicitSolver::without_motion() const {
+  return !is_on_host(*model())                        ? "on a device"
+         : config_.enable_static_contacts             ? "with enable_static_contacts"
+         : config_.penalty_law != PenaltyLaw::Sampled ? "with penalty_law \"mean\""
+                                                      : nullptr;
 }
 
 const char* DiffSemiImplicitSolver::without_record() const {
@@ -57,16 +70,20 @@ const char* DiffSemiImplicitSolver::without_record() const {
 }
 
 GradientInfo DiffSemiImplicitSolver::gradient_info() const {
-  return info_of(*model(), notes_, touches_, motion_ != nullptr);
+  return info_of(*model(), notes_, touches_, config_.contact_gradient, without_motion());
 }
 
 std::optional<TouchedStep> DiffSemiImplicitSolver::begin_touches(
     const SimState& in, SimState& out, const nova::Operand& forces,
     const nova::Operand& body_forces, const Control* control, const Contacts* contacts, float dt) {
   if (motion_ == nullptr || nova::Tape::active() == nullptr) return {};
-  require(!nova::current_capture(), ErrorKind::NotImplemented,
-          "DiffSemiImplicitSolver: contact_gradient: \"motion\" is not supported inside a "
-          "ScopedCapture; use \"code\"");
+  if (nova::current_capture()) {
+    require(config_.contact_gradient == DerivativeOf::Auto, ErrorKind::NotImplemented,
+            "DiffSemiImplicitSolver: contact_gradient: \"motion\" is not supported inside a "
+            "ScopedCapture; use \"code\"");
+    motion_->hold(in, out, "inside a ScopedCapture", touches_, witness()->touches);
+    return {};
+  }
   return motion_->begin(*model(), in, out, forces, body_forces, control, contacts,
                         kf_rate(config_.particle_kf_bound, dt), dt, touches_, witness()->touches);
 }

@@ -95,7 +95,7 @@ DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> mode
   check_penalty_law("DiffSemiImplicitSolver", config.penalty_law, config.friction_law,
                     moves_particles() && config.enable_particle_contacts);
   require(config.penalty_law == PenaltyLaw::Sampled ||
-              (!config.enable_static_contacts && config.contact_gradient == DerivativeOf::Code),
+              (!config.enable_static_contacts && config.contact_gradient != DerivativeOf::Motion),
           ErrorKind::NotImplemented,
           "DiffSemiImplicitSolver: penalty_law \"mean\" is not supported with ",
           config.enable_static_contacts
@@ -115,12 +115,14 @@ DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> mode
   if (given && config.enable_particle_contacts && moves_particles())
     uncovered_shapes_ = shapes_for_particles(*this->model());
   needs_pairs_ = given && config.enable_rigid_contacts && moves_bodies();
-  if (config.contact_gradient == DerivativeOf::Code) return;
-  constexpr const char* kName = "DiffSemiImplicitSolver: contact_gradient \"motion\"";
-  require_cpu(device(), kName);
-  require(!config.enable_static_contacts, ErrorKind::NotImplemented, kName,
-          " is not supported with enable_static_contacts; give rollout a pipeline, or use "
-          "\"code\"");
+  if (config.contact_gradient == DerivativeOf::Motion) {
+    constexpr const char* kName = "DiffSemiImplicitSolver: contact_gradient \"motion\"";
+    require_cpu(device(), kName);
+    require(!config.enable_static_contacts, ErrorKind::NotImplemented, kName,
+            " is not supported with enable_static_contacts; give rollout a pipeline, or use "
+            "\"code\"");
+  }
+  if (config.contact_gradient == DerivativeOf::Code || without_motion() != nullptr) return;
   motion_ = std::make_unique<TouchMotion>(
       *this->model(), TouchSettings{.bodies = moves_bodies(),
                                     .particles = moves_particles(),

@@ -88,9 +88,16 @@ std::string held_limits(const MotionCounts* m) {
          " times. These times do not move with the state, so the gradient of the motion may have "
          "another length and sign.";
 }
-std::string motion_of(const MotionCounts& m) {
-  if (m.of_springs) return motion_of_springs(m) + held_limits(&m);
-  return " The times at which contacts begin move with the state." + doubts(m);
+constexpr const char* kOther = " The gradient of the motion may have another length and sign.";
+std::string motion_of(const MotionCounts* m) {
+  if (m == nullptr) return kOther;
+  std::string text;
+  if (m->held == nullptr || m->moved > 0)
+    text = m->of_springs ? motion_of_springs(*m) + held_limits(m)
+                         : " The times at which contacts begin move with the state." + doubts(*m);
+  if (m->held == nullptr) return text;
+  return text + " Times stay constant in steps " + m->held +
+         ", where contact_gradient \"motion\" is not supported." + kOther;
 }
 
 // Returns the number of steps whose gradient is not that of the code and may differ from that of
@@ -135,8 +142,7 @@ std::string reason_of(const GradientCounts& c, bool implicit, const MotionCounts
   return text + ". Contacts changed " + std::to_string(events) + " times (first in step " +
          std::to_string(c.event_step) + ": that of " + pair_text(c.event) + " " +
          kWhat[c.event.event] + ")." +
-         (motion != nullptr ? motion_of(*motion)
-                            : " The gradient of the motion may have another length and sign.");
+         motion_of(motion);
 }
 
 }  // namespace
@@ -147,8 +153,9 @@ GradientInfo gradient_info(const GradientCounts& c, bool implicit, const MotionC
   info.label = c.surrogate > 0 || unclaimed > 0                 ? "surrogate"
                : c.frozen > 0                                   ? "frozen"
                : implicit                                       ? "implicit"
-               : motion != nullptr && is_of_the_motion(*motion) ? "exact of the motion"
-                                                                : "exact of the code";
+               : motion != nullptr && motion->held == nullptr && is_of_the_motion(*motion)
+                   ? "exact of the motion"
+                   : "exact of the code";
   info.steps = c.steps;
   const int64_t less = std::min(unclaimed, c.exact);
   info.exact_steps = c.exact - less;

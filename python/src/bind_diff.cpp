@@ -514,7 +514,7 @@ void bind_solver(py::module_& solvers) {
       "friction_law"_a = friction_law_name(d.friction_law), "friction_smoothing"_a = py::none(),
       "enable_joints"_a = d.enable_joints, "joint_attach_ke"_a = d.joint_attach_ke,
       "joint_attach_kd"_a = d.joint_attach_kd, "strict"_a = d.strict,
-      "particle_kf_bound"_a = d.particle_kf_bound, "contact_gradient"_a = "code",
+      "particle_kf_bound"_a = d.particle_kf_bound, "contact_gradient"_a = "auto",
       "penalty_law"_a = "sampled");
 #define NOVAPHY_MEMBER(name, doc)                               \
   config.def_property(                                          \

@@ -98,7 +98,7 @@ void bind_event_times(py::module_& m) {
   m.def("event_times", &diff::event_times, "trajectory"_a, release_gil(),
         "Returns the times {events} (s) at which contacts and joint limits begin, in the order of "
         "GradientInfo.event_list. The time 0 is the first step that filled the trajectory. The "
-        "active tape records the call. The solver needs contact_gradient=\"motion\".\n\nAn event "
+        "active tape records the call. The solver needs gradients of the motion.\n\nAn event "
         "in step k has the time t_k + d / |J v|, with the gap d, its derivative J by the "
         "positions, and the joint rates v. The derivative of the time by the positions of state k "
         "is J / |J v| (saltation matrix). The number and the order of events count as constants. "

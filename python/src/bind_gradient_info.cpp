@@ -45,14 +45,16 @@ GradientInfoFields to_fields(const GradientInfo& i, const py::dict& more) {
 }
 
 diff::DerivativeOf to_contact_gradient(const char* user, const std::string& name) {
+  if (name == "auto") return diff::DerivativeOf::Auto;
   if (name == "code") return diff::DerivativeOf::Code;
   require(name == "motion", ErrorKind::Value, user,
-          ": contact_gradient: expected \"code\" or \"motion\", got \"", name, "\"");
+          ": contact_gradient: expected \"auto\", \"code\" or \"motion\", got \"", name, "\"");
   return diff::DerivativeOf::Motion;
 }
 
 const char* contact_gradient_name(diff::DerivativeOf of) {
-  return of == diff::DerivativeOf::Motion ? "motion" : "code";
+  constexpr const char* kNames[] = {"auto", "code", "motion"};
+  return kNames[static_cast<size_t>(of)];
 }
 
 namespace {
@@ -74,25 +76,25 @@ constexpr std::pair<const char*, const char*> kFields[] = {
     {"ended", "The number of contacts that ceased to push from one step to the next."},
     {"turned", "The number of contacts that changed between sticking and slipping."},
     {"several",
-     "With contact_gradient=\"motion\": the number of steps in which several pairs, or several "
+     "With gradients of the motion: the number of steps in which several pairs, or several "
      "points of a pair, hit at once. With springs: the number of short touches of several "
      "contacts at once."},
     {"one_sided",
-     "With contact_gradient=\"motion\": the number of events that the end of the steps cuts, and "
+     "With gradients of the motion: the number of events that the end of the steps cuts, and "
      "of those of articulations within three steps of it. With springs: the number of short "
      "touches whose begin or end is outside of the steps, or that a written state or another dt "
      "cuts."},
     {"ramp_steps",
-     "With contact_gradient=\"motion\" and penalty contacts: the number of steps in which a "
+     "With gradients of the motion and penalty contacts: the number of steps in which a "
      "contact is at most half a step from its begin or end."},
     {"landings",
-     "With contact_gradient=\"motion\": the number of contacts of articulations that begin without "
+     "With gradients of the motion: the number of contacts of articulations that begin without "
      "a bounce."},
     {"phased",
      "The number of landings whose friction turns. The states after such a landing depend on the "
      "time in its step at which the contact begins."},
     {"searched",
-     "With contact_gradient=\"motion\": the number of steps in which contacts of curved shapes "
+     "With gradients of the motion: the number of steps in which contacts of curved shapes "
      "land or hold. Their normal comes from a search, with an error that 1 / dt amplifies."},
     {"lost_events", "The number of events for which a device had no room; 0 on the CPU."},
     {"least_approach",
@@ -105,12 +107,11 @@ constexpr std::pair<const char*, const char*> kFields[] = {
      "pi / (dt sqrt(stiffness / mass)). inf without a pushing contact, on a device, and with "
      "checkpoints or enable_static_contacts."},
     {"event_list",
-     "With contact_gradient=\"motion\": a dict for each contact or joint limit that begins, in the "
-     "order of time, in the last consecutive steps or on a tape. docs/conventions.md lists the "
-     "keys."},
+     "With gradients of the motion: a dict for each contact or joint limit that begins, in the "
+     "last consecutive steps or on a tape, by time. docs/conventions.md lists the keys."},
     {"residual", "The largest residual of the contact law, relative to the largest impulse (1)."},
     {"h_drift",
-     "With contact_gradient=\"motion\" of articulations, after backward: a check of the gradient. "
+     "With gradients of the motion of articulations, after backward: a check of the gradient. "
      "H is the gradient by the state times the rate of the state, which steps without events keep. "
      "The drift is the largest change of H in such a step, relative to the largest |H| (1). None: "
      "backward has not run. docs/conventions.md has the law."},

@@ -80,13 +80,14 @@ controls. Such a rollout may be captured. Other solvers raise an error on a tape
 ValueError: an argument belongs to another model, or has a wrong size.)";
 
 inline constexpr char kContactGradient[] =
-    R"(How gradients treat the times at which contacts begin and end: "code" or "motion". The states
-of the simulation are the same.
+    R"(How gradients treat the times at which contacts begin and end: "auto", "code" or "motion". The
+states of the simulation are the same.
 
 "code": the derivative of the computed steps. The steps in which a contact begins and ends count as
 constants.
 "motion": the derivative also moves the times at which a contact begins and ends.
-NotImplementedError on a device, in a capture, and with enable_static_contacts.)";
+NotImplementedError on a device, in a capture, with enable_static_contacts or penalty_law="mean".
+"auto": "motion" where it is supported, else "code". gradient_info gives the reason.)";
 
 inline constexpr char kDiffGradientInfo[] =
     R"(Returns the GradientInfo of the last consecutive steps on a tape: a rollout, a loop of steps,

@@ -8,15 +8,15 @@ inline constexpr char kGradientInfo[] =
 
 label: the worst of the labels of all steps, from best to worst:
 
-  "exact of the motion": the derivative also moves the times of events (contact_gradient="motion").
+  "exact of the motion": the derivative also moves the times of events (see contact_gradient).
   "exact of the code": the derivative of the computed steps, with the contacts that each step has.
   "implicit": the derivative of the solutions of the steps (DiffSolverVBD).
 
   "frozen": the derivative keeps points or normals of pushing contacts constant.
   "surrogate": the contact solver missed the contact law by more than 1e-3 of the largest impulse,
 or
-  a contact law has a jump. With contact_gradient="motion": the times of events move, but the
-  gradient may differ from that of the motion.
+  a contact law has a jump. Or the times of events move, but the gradient may differ from that of
+  the motion.
 
 reason: a sentence with the cause of the label and its consequence, with step and pair.
 steps: the number of steps: exact_steps + frozen_steps + surrogate_steps.

@@ -14,7 +14,7 @@ struct GradientInfoFields {
 // Returns the Python object. `more` has additional fields of one solver, with other names.
 GradientInfoFields to_fields(const GradientInfo& info, const pybind11::dict& more = {});
 
-// Reads "code" or "motion". ErrorKind::Value: another name.
+// Reads "auto", "code" or "motion". ErrorKind::Value: another name.
 diff::DerivativeOf to_contact_gradient(const char* user, const std::string& name);
 const char* contact_gradient_name(diff::DerivativeOf of);
 

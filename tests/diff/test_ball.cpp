@@ -25,7 +25,8 @@ using nova::Tensor;
 
 class Ball : public ::testing::Test {
  protected:
-  Ball() : model(make_ball_model()), solver(model) {
+  // Newton's gradient is that of the steps.
+  Ball() : model(make_ball_model()), solver(model, {.contact_gradient = diff::DerivativeOf::Code}) {
     for (int t = 0; t <= kBallSteps; ++t) states.push_back(model->state());
     contacts.emplace(make_ball_contacts(model, states[0]));
   }

@@ -85,7 +85,8 @@ class CheckpointedBalls : public ::testing::TestWithParam<int> {};
 
 TEST_P(CheckpointedBalls, GiveTheBitsOfKeepingEverything) {
   const auto model = make_ball_model(GetParam());
-  diff::DiffSemiImplicitSolver solver(model);
+  // Captures have the derivative of the code.
+  diff::DiffSemiImplicitSolver solver(model, {.contact_gradient = diff::DerivativeOf::Code});
   const Contacts contacts = make_ball_contacts(model, model->state());
   const Tensor ke = diff::model_shape_material_ke_tensor(*model, true);
   const Result all = run(model, solver, &contacts, ke, {});

@@ -32,7 +32,8 @@ enum class Way { StepLoop, Rollout, Captured };
 Result run(int balls, Way way, int steps = 60,
            nova::KeepGradients keep = nova::KeepGradients::All) {
   const auto model = make_ball_model(balls);
-  diff::DiffSemiImplicitSolver solver(model);
+  // Captures have the derivative of the code.
+  diff::DiffSemiImplicitSolver solver(model, {.contact_gradient = diff::DerivativeOf::Code});
   diff::Trajectory trajectory(model, steps);
   std::vector<SimState> states;
   if (way == Way::StepLoop)

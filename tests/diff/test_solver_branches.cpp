@@ -20,7 +20,7 @@ struct Scene {
   explicit Scene(const std::string& name)
       : file(golden("newton_" + name + ".npz")),
         model(golden_model(file)),
-        solver(model),
+        solver(model, {.contact_gradient = diff::DerivativeOf::Code}),  // as Newton
         pipeline(model, {.soft_contact_margin = file["soft_contact_gap"].scalar<float>()}),
         contacts(pipeline.contacts()),
         steps(file["sim_steps"].scalar<int32_t>()),

@@ -550,11 +550,14 @@ TEST_F(RigidDevices, AThousandWorldsAreOneThousandTimes) {
 Result trained(Device device, const ModelBuilder& builder, bool captured, bool fused,
                BroadPhase phase) {
   const auto model = builder.finalize(device, {.requires_grad = true});
+  // On a device the default is the derivative of the code.
+  const auto derivative = device.is_cpu() ? diff::DerivativeOf::Code : diff::DerivativeOf::Auto;
   diff::DiffSemiImplicitSolver solver(model, {.enable_static_contacts = fused,
                                               .friction_law = FrictionLaw::Huber,
                                               .friction_smoothing = 0.1f,
                                               .joint_attach_ke = 1e3f,
-                                              .joint_attach_kd = 10.0f});
+                                              .joint_attach_kd = 10.0f,
+                                              .contact_gradient = derivative});
   std::optional<CollisionPipeline> pipeline;
   if (!fused)
     pipeline.emplace(model, CollisionOptions{.broad_phase = phase, .rigid_contact_max = 200});

@@ -92,7 +92,9 @@ class Ball:
 
         self.diff = diff
         self.model = ball_model(balls)
-        self.solver = solvers.DiffSemiImplicitSolver(self.model)
+        self.solver = solvers.DiffSemiImplicitSolver(
+            self.model, solvers.DiffSolverConfig(contact_gradient="code")
+        )
         self.states = [self.model.state() for _ in range(steps + 1)]
         self.contacts = ball_contacts(self.model, self.states[0])
         self.velocity = diff.state_particle_qd_tensor(self.states[0], requires_grad=True)

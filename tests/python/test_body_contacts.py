@@ -48,7 +48,9 @@ def make_model(*bodies, ground=True, gravity=(0, 0, -9.81), surface=SURFACE):
 
 def diff_solver(model, smoothing=0.1, **config):
     law = {"friction_law": "huber", "friction_smoothing": smoothing} if smoothing else {}
-    return solvers.DiffSemiImplicitSolver(model, solvers.DiffSolverConfig(**law, **config))
+    return solvers.DiffSemiImplicitSolver(
+        model, solvers.DiffSolverConfig(**law, **config, contact_gradient="code")
+    )
 
 
 def weighted(state, count):

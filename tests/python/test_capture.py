@@ -21,7 +21,9 @@ class Training:
         self.model = ball_model()
         self.trajectory = diff.Trajectory(self.model, STEPS)
         self.contacts = ball_contacts(self.model, self.trajectory[0])
-        self.solver = solvers.DiffSemiImplicitSolver(self.model)
+        self.solver = solvers.DiffSemiImplicitSolver(
+            self.model, solvers.DiffSolverConfig(contact_gradient="code")
+        )
         self.velocity = diff.state_particle_qd_tensor(self.trajectory[0], requires_grad=True)
         self.last = diff.state_particle_q_tensor(self.trajectory[STEPS])
 
@@ -209,7 +211,9 @@ class Throws:
         self.model.particle_max_velocity = 8.0
         self.trajectory = diff.Trajectory(self.model, steps)
         self.contacts = ball_contacts(self.model, self.trajectory[0])
-        self.solver = solvers.DiffSemiImplicitSolver(self.model)
+        self.solver = solvers.DiffSemiImplicitSolver(
+            self.model, solvers.DiffSolverConfig(contact_gradient="code")
+        )
         self.start = diff.state_particle_q_tensor(self.trajectory[0], requires_grad=True)
         self.velocity = diff.state_particle_qd_tensor(self.trajectory[0], requires_grad=True)
         self.last = diff.state_particle_q_tensor(self.trajectory[steps])

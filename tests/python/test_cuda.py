@@ -175,7 +175,9 @@ def trained(
     model.soft_contact_kf, model.soft_contact_mu = 0.0, 0.2
     trajectory = diff.Trajectory(model, STEPS)
     contacts = ball_contacts(model, trajectory[0])
-    solver = solvers.DiffSemiImplicitSolver(model)
+    solver = solvers.DiffSemiImplicitSolver(
+        model, solvers.DiffSolverConfig(contact_gradient="code")
+    )
     velocity = diff.state_particle_qd_tensor(trajectory[0], requires_grad=True)
     target = nova.tensor(np.tile(np.float32(TARGET), (balls, 1)), device=device)
 

@@ -157,9 +157,9 @@ def test_the_gradient_of_the_readme_has_fifteen_lines_and_the_verdicts_that_it_n
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     (code,) = blocks(ROOT / "README.md", "python")
     assert sum(1 for line in code.splitlines() if line) == 15
-    for mode, rate, verdict in (("motion", -0.88, "of the motion"), ("code", -7.78, "biased")):
+    for mode, rate, verdict in (("auto", -0.88, "of the motion"), ("code", -7.78, "biased")):
         assert f"`{verdict}`" in text and str(rate) in text
-        run(ROOT / "README.md", [code.replace('"motion"', f'"{mode}"')])
+        run(ROOT / "README.md", [code.replace('"auto"', f'"{mode}"')])
         printed = capsys.readouterr().out
         numbers = printed.splitlines()[0].strip("[]").split()
         np.testing.assert_allclose(np.float32(numbers), [0, -1.88, rate], rtol=0.01)

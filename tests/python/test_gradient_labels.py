@@ -94,7 +94,7 @@ class Scene:
         self.model = build(rng, surface).finalize()
         options = {"pgs_slop": 0.0, "pgs_erp": 1.0} if seed % 2 == 0 else {}
         self.solver = novaphy.solvers.DiffFeatherstoneSolver(
-            self.model, angular_damping=0.0, **options
+            self.model, angular_damping=0.0, **options, contact_gradient="code"
         )
         self.pipeline = novaphy.CollisionPipeline(self.model)
         self.control = self.model.control()
@@ -287,7 +287,9 @@ def ball_above_ground(restitution: float = 0.5) -> novaphy.Model:
 
 def test_a_bounce_is_an_event_of_articulations_with_its_step_and_pair() -> None:
     model = ball_above_ground()
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_slop=0.0, pgs_erp=1.0)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(
+        model, pgs_slop=0.0, pgs_erp=1.0, contact_gradient="code"
+    )
     down = [[0.0, 0.0, -1.0, 0.0, 0.0, 0.0]]
     info = body_rollout(solver, 100, 1e-3, down)
     assert info.label == "exact of the code" and info.exact_steps == info.steps == 100
@@ -317,7 +319,7 @@ def test_a_bounce_is_an_event_of_articulations_with_its_step_and_pair() -> None:
 def test_a_bounce_is_an_event_of_the_semi_implicit_solver(kind: str) -> None:
     model = ball_above_ground(restitution=0.0)
     config = novaphy.solvers.DiffSolverConfig(
-        angular_damping=0.0, enable_static_contacts=kind == "static"
+        angular_damping=0.0, enable_static_contacts=kind == "static", contact_gradient="code"
     )
     solver = novaphy.solvers.DiffSemiImplicitSolver(model, config)
     down = [[0.0, 0.0, -1.0, 0.0, 0.0, 0.0]]

@@ -136,7 +136,9 @@ def test_the_gradient_of_a_bounce_off_a_mesh_is_that_of_frozen_contacts() -> Non
     builder.add_shape_mesh(-1, mesh=CUBE, scale=(20, 20, 1))
     builder.add_particle((0.3, 0.2, 0.16), (0.5, 0.2, -2.0), 1.0, 0.05)
     model = builder.finalize(requires_grad=True)
-    solver = novaphy.solvers.DiffSemiImplicitSolver(model)
+    solver = novaphy.solvers.DiffSemiImplicitSolver(
+        model, novaphy.solvers.DiffSolverConfig(contact_gradient="code")
+    )
     pipeline = novaphy.CollisionPipeline(model, soft_contact_margin=0.1)
     contacts = pipeline.contacts()
     pipeline.collide(model.state(), contacts)

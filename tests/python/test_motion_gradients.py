@@ -249,7 +249,7 @@ def test_what_is_not_there_is_refused_by_name() -> None:
     from novaphy import diff, nova
 
     model = ball(0.1, 0.5)
-    with pytest.raises(ValueError, match='contact_gradient: expected "code" or "motion", got "x"'):
+    with pytest.raises(ValueError, match='expected "auto", "code" or "motion", got "x"'):
         make_solver(model, "x")
     with pytest.raises(NotImplementedError, match="not supported with compliant_contacts"):
         novaphy.solvers.DiffFeatherstoneSolver(

@@ -34,6 +34,8 @@ def ball(ke: float, kd: float, mu: float = 0.0, kf: float = 0.0, worlds: int = 1
 
 
 def config(law: str, **more) -> novaphy.solvers.DiffSolverConfig:
+    """The gradient is that of the code, so that the law alone makes the difference."""
+    more = {"contact_gradient": "code", **more}
     return novaphy.solvers.DiffSolverConfig(angular_damping=0.0, penalty_law=law, **more)
 
 

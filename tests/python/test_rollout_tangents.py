@@ -67,7 +67,9 @@ def falling():
     builder.body_qd[ball] = (0.8, 0.1, -0.3, 0.5, 1.0, 0.2)
     deformables(builder, 0.205)
     elements = {f"enable_{e}": True for e in ("tetrahedra", "triangles", "springs", "bending")}
-    config = solvers.DiffSolverConfig(joint_attach_ke=500.0, joint_attach_kd=5.0, **elements)
+    config = solvers.DiffSolverConfig(
+        joint_attach_ke=500.0, joint_attach_kd=5.0, **elements, contact_gradient="code"
+    )
     model = builder.finalize()
     names = ("gravity", "particle_mass", "body_mass", "body_com", "shape_material_mu")
     return solvers.DiffSemiImplicitSolver(model, config), PARTICLES + BODIES, names, 1 / 600
@@ -108,7 +110,7 @@ def tree(touches):
     random = np.random.default_rng(1)
     builder.joint_q = [0.1, 0.2, 0.62, *UPRIGHT, 0.1, *UPRIGHT, -0.1, 0.2]
     builder.joint_qd = list(random.normal(size=len(builder.joint_qd)) * 0.5)
-    solver = solvers.DiffFeatherstoneSolver(builder.finalize())
+    solver = solvers.DiffFeatherstoneSolver(builder.finalize(), contact_gradient="code")
     return solver, JOINTS, ("gravity", "body_mass", "body_com", "joint_target_ke"), 1 / 200
 
 

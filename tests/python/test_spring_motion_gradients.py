@@ -455,13 +455,13 @@ def test_what_is_not_there_is_refused_by_name() -> None:
     config_of = novaphy.solvers.DiffSolverConfig
     make = novaphy.solvers.DiffSemiImplicitSolver
     model = balls((0, 0, 0.3), of=surface(1e4), planes=FLOOR)
-    with pytest.raises(ValueError, match='contact_gradient: expected "code" or "motion", got "x"'):
+    with pytest.raises(ValueError, match='expected "auto", "code" or "motion", got "x"'):
         config_of(contact_gradient="x")
     with pytest.raises(NotImplementedError, match="enable_static_contacts; give rollout a pipeli"):
         make(model, config_of(contact_gradient="motion", enable_static_contacts=True))
     config = config_of(contact_gradient="motion")
     assert make(model, config).config.contact_gradient == "motion"
-    assert config_of().contact_gradient == "code"
+    assert config_of().contact_gradient == "auto"
 
 
 def test_a_capture_is_refused_by_name() -> None:

@@ -84,7 +84,8 @@ class Balls:
         for name, value in MATERIAL.items():
             setattr(self.model, f"soft_contact_{name}", value)
 
-        self.solver = novaphy.solvers.DiffSemiImplicitSolver(self.model)
+        config = novaphy.solvers.DiffSolverConfig(contact_gradient="code")  # as in captures
+        self.solver = novaphy.solvers.DiffSemiImplicitSolver(self.model, config)
         pipeline = novaphy.CollisionPipeline(self.model, soft_contact_margin=GAP)
         self.contacts = pipeline.contacts()
         pipeline.collide(self.model.state(), self.contacts)

@@ -51,6 +51,7 @@ class Deformable:
             enable_bending=not soft,
             enable_static_contacts=soft,
             static_contact_margin=GAP,
+            contact_gradient="code",  # as in captures
         )
         self.solver = novaphy.solvers.DiffSemiImplicitSolver(self.model, config)
         if mode == "step":

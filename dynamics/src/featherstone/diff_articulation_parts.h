@@ -167,7 +167,16 @@ struct ArticulationStep::Shared {
   std::string failure;          // the error of a replay
   bool dry = false;             // joints have dry friction, or its gradient is requested
   bool allow_unconverged = false;
-  DerivativeOf contact_gradient = DerivativeOf::Code;
+  DerivativeOf contact_gradient = DerivativeOf::Auto;
+  const char* without_motion = nullptr;  // MotionCounts::held of all steps
+  // Returns whether times of events move, outside of captures.
+  bool moves() const {
+    return contact_gradient != DerivativeOf::Code && without_motion == nullptr;
+  }
+  // Returns the counts before the first step.
+  MotionCounts no_motion() const {
+    return {.held = without_motion, .drift = std::make_shared<AdjointDrift>()};
+  }
   MotionCounts motion;
   struct Witness;
   std::weak_ptr<Witness> witness;

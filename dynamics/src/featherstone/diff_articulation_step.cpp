@@ -115,14 +115,12 @@ struct ArticulationStep::Shared::Witness : GradientWitness {
   MotionCounts motion;
   bool has_replays;
   Witness(std::shared_ptr<Shared> of, bool replays)
-      : shared(std::move(of)), motion(shared->motion), has_replays(replays) {
-    motion = {.drift = std::make_shared<AdjointDrift>()};
-  }
+      : shared(std::move(of)), motion(shared->no_motion()), has_replays(replays) {}
   MotionEvents events() const override { return motion.events; }
-  bool has_events() const override { return shared->contact_gradient == DerivativeOf::Motion; }
+  bool has_events() const override { return shared->moves() && motion.held == nullptr; }
   GradientInfo info() const override {
     return gradient_info(has_replays ? all_branches(*shared).all : counts, false,
-                         has_events() ? &motion : nullptr);
+                         shared->contact_gradient == DerivativeOf::Code ? nullptr : &motion);
   }
   const char* without_record() const override {
     return shared->runs_on_host() ? nullptr : "DiffFeatherstoneSolver on a device";
@@ -152,6 +150,8 @@ class CountsOfStep {
   }
   CountsOfStep(const CountsOfStep&) = delete;
   CountsOfStep& operator=(const CountsOfStep&) = delete;
+  // Notes that the step holds the times of events.
+  void hold(const char* where) { shared_.motion.held = witness_->motion.held = where; }
   ~CountsOfStep() {
     if (!witness_) return;
     GradientCounts now = std::exchange(shared_.branches.all, counts_);
@@ -223,12 +223,16 @@ ArticulationStep::ArticulationStep(const Model& model, const FeatherstoneOptions
   shared_ = std::make_shared<Shared>(model, converged, user);
   shared_->allow_unconverged = allow_unconverged;
   shared_->contact_gradient = contact_gradient;
-  shared_->motion.drift = std::make_shared<AdjointDrift>();
-  if (contact_gradient == DerivativeOf::Motion)
+  if (contact_gradient == DerivativeOf::Motion) {
     require_cpu(model.device(), user, ": contact_gradient \"motion\"");
-  require(contact_gradient == DerivativeOf::Code || !options.compliant_contacts,
-          ErrorKind::NotImplemented, user,
-          ": contact_gradient: \"motion\" is not supported with compliant_contacts; use \"code\"");
+    require(!options.compliant_contacts, ErrorKind::NotImplemented, user,
+            ": contact_gradient: \"motion\" is not supported with compliant_contacts; use "
+            "\"code\"");
+  }
+  shared_->without_motion = !shared_->trees              ? "on a device"
+                            : options.compliant_contacts ? "with compliant_contacts"
+                                                         : nullptr;
+  shared_->motion = shared_->no_motion();
 }
 ArticulationStep::~ArticulationStep() = default;
 ArticulationStep::ArticulationStep(ArticulationStep&&) noexcept = default;
@@ -277,12 +281,14 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
                               const Control* control, const Contacts* contacts, FoundContacts found,
                               const nova::Operand& body_f, float dt, StepScratch scratch,
                               bool join) {
-  const CountsOfStep counts(shared_);
+  CountsOfStep counts(shared_);
   const int64_t number = shared_->next_step++;
-  const bool moves =
-      shared_->contact_gradient == DerivativeOf::Motion && nova::Tape::active() != nullptr;
-  require(!moves || !nova::current_capture(), ErrorKind::NotImplemented, kName,
+  const bool may_move = shared_->moves() && nova::Tape::active() != nullptr;
+  const bool moves = may_move && !nova::current_capture();
+  require(moves || !may_move || shared_->contact_gradient == DerivativeOf::Auto,
+          ErrorKind::NotImplemented, kName,
           ": contact_gradient: \"motion\" is not supported inside a ScopedCapture; use \"code\"");
+  if (may_move && !moves) counts.hold("inside a ScopedCapture");
   const bool touching = contacts != nullptr && contacts->rigid_contact_max() > 0;
   const bool is_actuated = shared_->actuators->acts();
   join = join && !moves && !is_actuated;
@@ -370,11 +376,11 @@ void ArticulationStep::clear_branches() {
   shared_->ended = nullptr;
   if (!shared_->trees) shared_->contacts.clear_branches();
   shared_->branches = {};
-  shared_->motion = {.drift = std::make_shared<AdjointDrift>()};
+  shared_->motion = shared_->no_motion();
   shared_->far_steps = 0;
 }
 const MotionCounts* ArticulationStep::motion_counts() const {
-  return shared_->contact_gradient == DerivativeOf::Motion ? &shared_->motion : nullptr;
+  return shared_->contact_gradient == DerivativeOf::Code ? nullptr : &shared_->motion;
 }
 void ArticulationStep::count_from(int64_t number) { shared_->next_step = number; }
 

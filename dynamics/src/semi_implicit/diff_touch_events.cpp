@@ -335,6 +335,7 @@ MotionCounts TouchList::counts() const {
   counts.of_springs = true;
   counts.ramp_steps = ramp_steps;
   counts.limits = limits;
+  counts.held = held;
   counts.moved = std::ranges::count_if(works, [](const auto& work) { return work->acts(); });
   for (const auto& e : events) {
     if (e->flaw == detail::TouchFlaw::Rests) continue;
@@ -355,6 +356,7 @@ void TouchList::clear() {
   events.clear();
   works.clear();
   ramp_steps = limits = 0;
+  held = nullptr;
 }
 
 }  // namespace novaphy::diff

@@ -302,4 +302,14 @@ void TouchMotion::end(const Model& model, TouchedStep& step) {
   std::tie(t.at_q, t.at_version) = t.place(*step.out);
 }
 
+void TouchMotion::hold(const SimState& in, const SimState& out, const char* where,
+                       TouchList& of_chain, TouchList& of_tape) {
+  Impl& t = *impl_;
+  if (t.at_q != t.place(in).first) of_chain.clear();
+  of_chain.held = of_tape.held = where;
+  // The next step continues the chain, but no touch.
+  t.at_q = t.place(out).first;
+  t.at_version = ~uint64_t{0};
+}
+
 }  // namespace novaphy::diff

@@ -57,7 +57,9 @@ class Ball:
 
     def __init__(self, device: str) -> None:
         self.model = build_model(device)
-        self.solver = novaphy.solvers.DiffSemiImplicitSolver(self.model)
+        # Newton's gradient is that of the code.
+        config = novaphy.solvers.DiffSolverConfig(contact_gradient="code")
+        self.solver = novaphy.solvers.DiffSemiImplicitSolver(self.model, config)
         self.states = [self.model.state() for _ in range(STEPS + 1)]
         self.control = self.model.control()
         pipeline = novaphy.CollisionPipeline(

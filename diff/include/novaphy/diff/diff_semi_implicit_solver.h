@@ -52,7 +52,7 @@ struct DiffSolverConfig {
   bool strict = true;  // refuses unsupported parts of a model instead of leaving them out
   // Whether the gradient includes the times at which contacts begin and end (diff_touches.h). The
   // states do not depend on this option.
-  DerivativeOf contact_gradient = DerivativeOf::Code;
+  DerivativeOf contact_gradient = DerivativeOf::Auto;
 };
 
 // One step runs generated kernels: the forces of springs, triangles, bending edges and tetrahedra
@@ -98,8 +98,9 @@ struct DiffSolverConfig {
 class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
  public:
   // ErrorKind::NotImplemented: the friction laws newton17 and newton18, which have no gradient
-  // here, or DerivativeOf::Motion for a model on a device or with enable_static_contacts. Inside a
-  // ScopedCapture, steps with DerivativeOf::Motion throw.
+  // here, or DerivativeOf::Motion for a model on a device, with enable_static_contacts or with
+  // PenaltyLaw::Mean. Inside a ScopedCapture, steps with DerivativeOf::Motion throw. In all these
+  // cases DerivativeOf::Auto gives the derivative of the code.
   explicit DiffSemiImplicitSolver(std::shared_ptr<const Model> model,
                                   const DiffSolverConfig& config = {});
 
@@ -133,7 +134,9 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
  protected:
   std::vector<ScratchSpec> step_scratch() const override;
   bool step_writes_kept_memory() const override;
-  bool only_submits() const override { return motion_ == nullptr; }
+  bool only_submits() const override {
+    return motion_ == nullptr || nova::Tape::active() == nullptr;
+  }
   bool begin_rollout(const RolloutInputs& inputs) override;
   void record_step(const SimState& in, SimState& out, const StepInputs& inputs,
                    StepScratch scratch) override;
@@ -158,6 +161,8 @@ class NOVAPHY_DIFF_API DiffSemiImplicitSolver : public DiffSolverBase {
   void note_step(const SimState& in, const SimState& from, const SimState& out,
                  const Contacts* contacts, const ContactTables& tables, const nova::Operand& wrench,
                  float dt, bool keeps);
+  // Returns MotionCounts::held of all steps, or null.
+  const char* without_motion() const;
   // Returns the name of the solver with the setting that AdjointRecord does not support, or null if
   // the record supports all settings.
   const char* without_record() const;

@@ -15,6 +15,7 @@ namespace novaphy {
 namespace diff {
 // Selects the derivative that is computed where contacts begin.
 enum class DerivativeOf : uint8_t {
+  Auto,   // Motion where the solver supports it, else Code
   Code,   // of the steps as they ran: a contact begins in the same step
   Motion  // the time of the begin moves with the state (CPU only, not in captures)
 };
@@ -113,6 +114,9 @@ struct MotionCounts {
   int64_t inexact = 0;
   float least_approach = std::numeric_limits<float>::infinity();      // m/s or rad/s
   double least_separation = std::numeric_limits<double>::infinity();  // steps, of one tree or body
+  // DerivativeOf::Auto: where the solver does not support Motion, as "on a device". The times of
+  // such steps stay constant. Null: all times move.
+  const char* held = nullptr;
   // The chain of the last step, and the number of its steps.
   int64_t chain = 0, chain_steps = 0;
   MotionEvents events = {};
@@ -123,7 +127,7 @@ struct MotionCounts {
 
 // Makes the report from counts. `implicit`: a step that is neither frozen nor a surrogate has the
 // derivative of its solution; `exact_steps` counts these steps. `motion`: the counts of events
-// whose times move; null for gradients of the code.
+// whose times move; null for DerivativeOf::Code.
 NOVAPHY_DYNAMICS_API GradientInfo gradient_info(const GradientCounts& counts, bool implicit = false,
                                                 const MotionCounts* motion = nullptr);
 

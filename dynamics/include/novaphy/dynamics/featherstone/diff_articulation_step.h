@@ -67,7 +67,8 @@ class NOVAPHY_DYNAMICS_API ArticulationStep {
   // Errors as for SolverFeatherstone. ErrorKind::Value: a model whose joints have no dofs.
   // `allow_unconverged`: adjoints and tangents of steps that are far from convergence do not throw.
   // ErrorKind::NotImplemented: DerivativeOf::Motion with a model on a device or with
-  // compliant_contacts.
+  // compliant_contacts. With DerivativeOf::Auto these steps, and steps in captures, have the
+  // derivative of the code.
   ArticulationStep(const Model& model, const FeatherstoneOptions& options, const char* user,
                    bool allow_unconverged = false,
                    DerivativeOf contact_gradient = DerivativeOf::Code);
@@ -95,7 +96,7 @@ class NOVAPHY_DYNAMICS_API ArticulationStep {
   // device.
   ContactBranches branches() const;
   void clear_branches();
-  // Returns the counts of events for DerivativeOf::Motion. Null with DerivativeOf::Code.
+  // Returns the counts of events whose times move. Null with DerivativeOf::Code.
   const MotionCounts* motion_counts() const;
   // Throws ErrorKind::Runtime, with the dof, if the last step failed. Waits for a device.
   void check(const Model& model, const char* function) const;

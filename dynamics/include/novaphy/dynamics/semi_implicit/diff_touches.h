@@ -52,6 +52,7 @@ class NOVAPHY_DYNAMICS_API TouchList {
   std::vector<std::shared_ptr<const detail::TouchWork>> works;
   int64_t ramp_steps = 0;
   int64_t limits = 0;  // joint limits that began or ended to push; times stay constant
+  const char* held = nullptr;  // MotionCounts::held
 };
 
 struct TouchSettings {
@@ -91,6 +92,9 @@ class NOVAPHY_DYNAMICS_API TouchMotion {
                     const Control* control, const Contacts* contacts, float kf_rate, float dt,
                     TouchList& of_chain, TouchList& of_tape);
   void end(const Model& model, TouchedStep& step);
+  // Call hold instead for a step `where` times stay constant.
+  void hold(const SimState& in, const SimState& out, const char* where, TouchList& of_chain,
+            TouchList& of_tape);
 
  private:
   struct Impl;

@@ -383,3 +383,15 @@ def test_what_rests_too_deep_is_said():
         said = said_of(lambda k=ke: heights(ball(k), 1 / 960, 2000))
         assert len(said) == count
         assert all("rests" in text and "SolverFeatherstone" in text for text in said)
+
+
+@pytest.mark.parametrize("edge", [2.0, 5.0])
+def test_a_cube_that_its_springs_cannot_carry_is_named_at_its_first_contact(edge):
+    builder = novaphy.ModelBuilder()
+    builder.add_ground_plane()
+    body = builder.add_body(xform=((0, 0, edge / 2), UPRIGHT))
+    builder.add_shape_box(body, hx=edge / 2, hy=edge / 2, hz=edge / 2)
+    model = builder.finalize()
+    with pytest.warns(RuntimeWarning, match=r"body 0 sinks: springs of ke 2500 N/m carry its"):
+        z = heights(model, 1 / 960, 16)
+    assert z.min() > edge / 2 - 0.01

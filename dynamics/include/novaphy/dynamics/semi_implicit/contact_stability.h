@@ -82,9 +82,11 @@ class NOVAPHY_DYNAMICS_API ContactWatch {
     int32_t next = 0;      // entry of `seen` to overwrite next
     int32_t changed = -1;  // index among the changed bodies; -1: unchanged
   };
-  // The deepest supporting contact of a body (m), and the weight that contact springs carry (N).
+  // The supporting contacts of a body: the depth of the deepest (m), the weight that springs carry
+  // (N), the largest stiffness (N/m), and their number.
   struct Load {
-    float depth = 0.0f, lift = 0.0f;
+    float depth = 0.0f, lift = 0.0f, stiffest = 0.0f;
+    int32_t rows = 0;
   };
   void find_changed(const detail::TouchingRows& rows, const Model& model, float dt);
   void check(const ContactLimit& limit, float dt);

@@ -496,7 +496,7 @@ TEST(Scan, RejectsBodiesThatKeepOrOverwriteValues) {
   tape.backward(nova::sum(r.carry[0]));
   const Floats g = c.grad().to_host();
   for (const size_t k : {0u, 1u}) {
-    const double x = k + 1.0, once = 2.0 * std::sin(x);
+    const double x = static_cast<double>(k) + 1.0, once = 2.0 * std::sin(x);
     EXPECT_NEAR(g[k], 2.0 * std::cos(once) * 2.0 * std::cos(x), 1e-6);
   }
 }

@@ -112,8 +112,7 @@ py::object record_of(nova::Tape& tape, const std::optional<std::vector<Tensor>>&
                                "point"_a = vector_of(c.point), "normal"_a = vector_of(c.normal),
                                "impulse"_a = vector_of(c.impulse),
                                "adjoint"_a = vector_of(c.adjoint), "change"_a = vector_of(change),
-                               "held"_a = c.held, "particle"_a = c.particle,
-                               "moved"_a = moved));
+                               "held"_a = c.held, "particle"_a = c.particle, "moved"_a = moved));
     }
     steps.append(py::dict("number"_a = s.number, "dt"_a = s.dt, "start"_a = s.start,
                           "end"_a = s.end, "rates"_a = s.rates, "of_springs"_a = s.of_springs,

@@ -36,17 +36,16 @@ void RecordedStep::add_to(AdjointRecord& record, std::span<const nova::Tensor> o
   for (const VbdContactForce& c : steps->contact_forces(inputs())) {
     const auto p = static_cast<size_t>(c.particle), s = static_cast<size_t>(c.shape);
     const int32_t world = model->particle_world.data()[p];
-    to.contacts.push_back(
-        {.row = c.slot,
-         .world = world < 0 ? model->shape_world.data()[s] : world,
-         .shape0 = c.shape,
-         .shape1 = -1,
-         .point = c.point,
-         .normal = c.normal,
-         .impulse = c.force * dt,
-         .adjoint = by_force[p] * (1.0f / dt),
-         .held = !is_exact_while_frozen(*model, c.shape),
-         .particle = c.particle});
+    to.contacts.push_back({.row = c.slot,
+                           .world = world < 0 ? model->shape_world.data()[s] : world,
+                           .shape0 = c.shape,
+                           .shape1 = -1,
+                           .point = c.point,
+                           .normal = c.normal,
+                           .impulse = c.force * dt,
+                           .adjoint = by_force[p] * (1.0f / dt),
+                           .held = !is_exact_while_frozen(*model, c.shape),
+                           .particle = c.particle});
   }
 }
 

@@ -210,8 +210,7 @@ void DifferentiableVbd::backward(const VbdStepInputs& in, const Array& q_out_adj
 }
 
 void DifferentiableVbd::tangent(const VbdStepInputs& in, const VbdStepDerivatives& direction,
-                                DeviceArray<Vec3f> q_out_tangent,
-                                DeviceArray<Vec3f> qd_out_tangent,
+                                DeviceArray<Vec3f> q_out_tangent, DeviceArray<Vec3f> qd_out_tangent,
                                 std::span<const int32_t> held) {
   const Work::Call call(*work_, "DifferentiableVbd.tangent", {});
   const Unseen unseen;

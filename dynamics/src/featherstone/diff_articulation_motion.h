@@ -194,10 +194,10 @@ void drift_vjp(const ArticulationStep::Step& step, std::span<const nova::Tensor>
 void record_vjp(const ArticulationStep::Step& step, std::span<const nova::Tensor> outputs,
                 std::span<const nova::InputGradient> gradients, const Adjoint& run,
                 AdjointRecord& record);
-// Stores in an AdjointRecord how much of the loss's tangent is due to the delays of bounces, besides
-// the changes of their impulses: p . (f without the bounce - f after it) delay, with the gradient p
-// by the state after the step. delay {trees}, jump {dofs}: as in delays_jvp. qdd {dofs}: the
-// accelerations in f after the step. inside {trees}: 1 if an event continues; landings have no
+// Stores in an AdjointRecord how much of the loss's tangent is due to the delays of bounces,
+// besides the changes of their impulses: p . (f without the bounce - f after it) delay, with the
+// gradient p by the state after the step. delay {trees}, jump {dofs}: as in delays_jvp. qdd {dofs}:
+// the accelerations in f after the step. inside {trees}: 1 if an event continues; landings have no
 // part.
 void record_delays(const ArticulationStep::Step& step, const ArticulationArguments& in,
                    std::span<const float> delay, std::span<const float> jump,

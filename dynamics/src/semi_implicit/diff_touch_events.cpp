@@ -149,8 +149,7 @@ void ramp_vjp(TouchRamp& ramp, const StateRows& of, const StateRows& to) {
 
 void start_jvp(const TouchWork& work, const StateRows& in, const StateRows& out) {
   for (const auto& ramp : work.ramps)
-    if (ramp->acts())
-      ramp_jvp(*ramp, {work.of_record, ramp->row.first, ramp->row.second}, in, out);
+    if (ramp->acts()) ramp_jvp(*ramp, {work.of_record, ramp->row.first, ramp->row.second}, in, out);
   for (const auto& step : work.steps) {
     TouchEvent& event = *step->event;
     if (!event.is_window()) continue;

@@ -38,8 +38,8 @@ struct NOVAPHY_DYNAMICS_API AdjointRecord : nova::Tape::Witness {
     std::vector<Contact> contacts;  // contacts with an impulse
     std::vector<float> notes;       // a ContactNote per contact row, only while the adjoint runs
     std::vector<Vec3f> changes;     // tangents of the impulses, by contact row
-    // By contact row: the tangent of the loss because the times at which the contact begins and ends
-    // move (DerivativeOf::Motion), beside adjoint . change. Empty: zeros.
+    // By contact row: the tangent of the loss because the times at which the contact begins and
+    // ends move (DerivativeOf::Motion), beside adjoint . change. Empty: zeros.
     std::vector<float> moved;
   };
 

@@ -74,8 +74,8 @@ struct VbdStepDerivatives {
 struct VbdContactForce {
   int32_t slot = 0;  // row of Contacts::soft_contact_*
   int32_t particle = 0, shape = 0;
-  Vec3f point{}, normal{};          // of the surface
-  Vec3f force{}, force_tangent{};   // on the particle (N); the tangent only from `tangent`
+  Vec3f point{}, normal{};         // of the surface
+  Vec3f force{}, force_tangent{};  // on the particle (N); the tangent only from `tangent`
 };
 
 struct VbdGradientOptions {

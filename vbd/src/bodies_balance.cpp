@@ -131,7 +131,9 @@ Vec3f Bodies::lacking_spin(size_t body) const {
 
 void Bodies::balance() {
   using Group = BodyGroups::Group;
-  if (touch_.empty()) return;
+  // VbdInitialGuess::Previous stops particles that move together with a body. The motion would then
+  // give their momentum to the body, and energy with it.
+  if (touch_.empty() || options_.initial_guess == VbdInitialGuess::Previous) return;
   find_groups();
   for_masses([](Group& g, double m, const Vec3d& x, const Vec3d& lacks) {
     g.mass += m;

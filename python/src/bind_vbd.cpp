@@ -282,6 +282,20 @@ void bind_steps(py::class_<SolverVBD, SolverBase>& solver) {
       .def("self_contacts", &SolverVBD::self_contacts, release_gil(),
            "Returns the VbdSelfContacts of the last step. ValueError: the solver was made without "
            "particle_enable_self_contact.")
+      .def(
+          "joint_forces",
+          [](const SolverVBD& s) {
+            std::vector<SpatialVectorf> forces;
+            {
+              const ReleasedGil release;
+              forces = s.joint_forces();
+            }
+            return to_column(reinterpret_cast<const float*>(forces.data()), forces.size(), 6);
+          },
+          "Returns float32 {joint_count, 6}: the force (N) and the moment (N m) of each joint on "
+          "its child at the end of the last step, in the world frame. The force acts at the "
+          "child's anchor. Joints without rows have zeros, for example FREE and disabled joints. "
+          "Error: no step ran since the solver was made or reset.")
       .def("reset", &SolverVBD::reset,
            "Clears what initial_guess=\"adaptive\" and residual() keep of the last step.");
 }
@@ -297,7 +311,9 @@ void bind_vbd(py::module_& solvers) {
       "Implicit Euler, solved by Vertex Block Descent (Chen et al. 2024). Steps are stable even "
       "for a large dt and high stiffness. The solver supports particles, springs, triangles, "
       "bending edges, tetrahedra, external forces, gravity, and contacts with world-owned shapes. "
-      "On the CPU it also supports rigid bodies with their contacts and joints.\n\nParticles need "
+      "On the CPU it also supports rigid bodies with their joints, and with contacts between "
+      "bodies "
+      "and with particles.\n\nParticles need "
       "colors: call ModelBuilder.color(). Particles of mass 0 or without ParticleFlags.ACTIVE are "
       "kinematic. A step does not write to state_in. The bits are the same for any number of "
       "threads and on a CUDA device.\n\nA step can be captured. On a tape the step raises an error "

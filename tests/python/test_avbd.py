@@ -342,6 +342,29 @@ def test_a_torque_turns_a_wheel(axis: dict[str, float], expected: float | str) -
         assert speed == pytest.approx(0.5 * float(expected) / inertia, rel=1e-3)
 
 
+def test_joint_forces_carry_the_weight() -> None:
+    builder = builder_of()
+    arm = add_box(builder, (0.2, 0, 0), link=True)
+    hanging = add_box(builder, (0.4, 0, -0.3), link=True)
+    hinge = builder.add_joint_revolute(-1, arm, axis=(0, 1, 0), target_ke=1e5, target_kd=1e3,
+                                       child_xform=((-0.2, 0, 0), (0, 0, 0, 1)))  # fmt: skip
+    ball = builder.add_joint_ball(arm, hanging, parent_xform=((0.2, 0, 0), (0, 0, 0, 1)),
+                                  child_xform=((0, 0, 0.3), (0, 0, 0, 1)))  # fmt: skip
+    builder.add_articulation([hinge, ball])
+    add_box(builder, (5, 0, 5))  # with a FREE joint
+    solver = SolverVBD(builder.finalize())
+    with pytest.raises(RuntimeError, match="joint_forces: expected a step before"):
+        solver.joint_forces()
+    state, after = solver.model.state(), solver.model.state()
+    for _ in range(120):
+        solver.step(state, after, None, None, H)
+        state, after = after, state
+    weight = 8 * G
+    moment = -(0.2 * weight + 0.4 * weight)  # the arm points along x
+    expected = [(0, 0, 2 * weight, 0, moment, 0), (0, 0, weight, 0, 0, 0), (0,) * 6]
+    assert solver.joint_forces() == pytest.approx(np.array(expected), abs=0.01 * weight)
+
+
 def test_a_limit_yields_by_its_stiffness() -> None:
     model, _ = wheel_of(limit_lower=-0.3, limit_upper=0.3, limit_ke=100.0, limit_kd=5.0)
     control = model.control()

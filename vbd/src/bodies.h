@@ -158,6 +158,8 @@ class Bodies {
   // memory.
   void finish(const SimState& in, const SimState& out, const Contacts* contacts);
   void reset() { memory_.zero(); }
+  // See SolverVBD::joint_forces.
+  std::vector<SpatialVectorf> joint_forces() const;
   // Returns the rows of 4 floats that the solver carries to the next step: rows of the particles,
   // the previous velocities of the bodies, the joints, and the contacts.
   const DeviceArray<Vec4f>& memory() const { return memory_; }

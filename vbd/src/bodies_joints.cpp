@@ -112,6 +112,24 @@ float Bodies::joint_coordinate(size_t joint, const VbdBodyJoint& j) const {
   return angle + kTurn * std::round((last - angle) / kTurn);
 }
 
+std::vector<SpatialVectorf> Bodies::joint_forces() const {
+  std::vector<SpatialVectorf> forces(joint_count_);
+  for (size_t k = 0; k < joint_.size(); ++k) {
+    const VbdBodyJoint& j = joint_[k];
+    const Vec3f axis =
+        joint_errors(j, motion_of(motion_.data(), j.body[0]), motion_of(motion_.data(), j.body[1]))
+            .axis;
+    float along = j.force;
+    for (const VbdAxisRow& row : j.rows)
+      if (row.stiffness != 0.0f) along += row.lam;
+    SpatialVectorf& f = forces[at(joints_[k])];
+    f = {-j.lam, -j.lam_turn};
+    Vec3f& part = j.kind == VbdBodyJointKind::Revolute ? f.angular : f.linear;
+    part = part + axis * along;
+  }
+  return forces;
+}
+
 void Bodies::keep_joints(const SimState& in) {
   auto* const memory = memory_at<JointMemory>(joints_at());
   for (size_t k = 0; k < joint_count_; ++k) memory[k].is_used = 0.0f;

@@ -140,6 +140,14 @@ VbdSelfContacts SolverVBD::self_contacts() const {
   return contact->contacts();
 }
 
+std::vector<SpatialVectorf> SolverVBD::joint_forces() const {
+  const ExclusiveUse::Scope scope = use("SolverVBD.joint_forces");
+  require(work_->has_stepped, ErrorKind::Runtime,
+          "SolverVBD.joint_forces: expected a step before, since the solver was made or reset");
+  if (!work_->bodies) return {};
+  return work_->bodies->joint_forces();
+}
+
 VbdResidual SolverVBD::residual() const {
   const ExclusiveUse::Scope scope = use("SolverVBD.residual");
   work_->step.check();

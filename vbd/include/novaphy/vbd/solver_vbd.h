@@ -77,9 +77,9 @@ struct VbdResidual {
 
 // The solver supports particles with springs, triangles, bending edges, tetrahedra, external
 // forces, gravity, and soft contacts with shapes of the world. On the CPU it also supports rigid
-// bodies with their contacts and joints (src/bodies.h), and contacts of particles with bodies, which
-// act on both. The following features are not supported.
-// The constructor or the step raises ErrorKind::NotImplemented and names the feature:
+// bodies with their contacts and joints (src/bodies.h), and contacts of particles with bodies,
+// which act on both. The following features are not supported. The constructor or the step raises
+// ErrorKind::NotImplemented and names the feature:
 // - bodies on a device or in a capture;
 // - D6, PLANAR and mimic joints, actuators, velocity limits, drives of BALL joints;
 // - `tolerance` and `converged` in a model with bodies;
@@ -150,6 +150,11 @@ class NOVAPHY_VBD_API SolverVBD : public SolverBase {
   VbdResidual residual() const;
   // Returns the self-contacts of the last step. ErrorKind::Value: the solver has no self_contact.
   VbdSelfContacts self_contacts() const;
+  // Returns for each joint the force (N) and the moment (N m) on the child at the end of the last
+  // step, in the world frame. The force acts at the child's anchor. Joints without rows have zeros:
+  // FREE and disabled joints, and joints of two kinematic bodies. ErrorKind::Runtime: no step ran
+  // since the solver was made or reset.
+  std::vector<SpatialVectorf> joint_forces() const;
   // Forgets the last step. The adaptive guess and residual() read that step.
   void reset();
   void notify_model_changed(ModelFlags flags) override;

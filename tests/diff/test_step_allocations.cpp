@@ -110,12 +110,30 @@ TEST(StepAllocations, FeatherstoneTakesNone) {
 }
 
 TEST(StepAllocations, VbdTakesNone) {
-  for (const VbdOptions& options :
-       {VbdOptions{}, VbdOptions{.acceleration = 0.9f},
-        VbdOptions{.initial_guess = VbdInitialGuess::Adaptive}, VbdOptions{.tolerance = 1e-3f},
-        VbdOptions{.coarse = true}}) {
+  for (const VbdOptions& options : {VbdOptions{}, VbdOptions{.acceleration = 0.9f},
+                                    VbdOptions{.initial_guess = VbdInitialGuess::Adaptive},
+                                    VbdOptions{.tolerance = 1e-3f}, VbdOptions{.coarse = true}}) {
     Scene scene(EverythingScene::builder());
     SolverVBD solver(scene.model, options);
+    EXPECT_EQ(scene.of_steps(solver), 0);
+  }
+}
+
+TEST(StepAllocations, VbdOfParticlesOnBodiesTakesNone) {
+  for (const VbdOptions& options : {VbdOptions{}, VbdOptions{.coarse = true}}) {
+    ModelBuilder builder = trees(2);
+    builder.add_cloth_grid({.placement = {.pos = {-0.3f, -0.1f, 0.2f}},
+                            .dim_x = 6,
+                            .dim_y = 6,
+                            .cell_x = 0.05,
+                            .cell_y = 0.05,
+                            .mass = 2e-3f,
+                            .tri = {.ke = 1e3f, .ka = 1e3f},
+                            .particle_radius = 0.02f});
+    builder.color();
+    Scene scene(builder);
+    SolverVBD solver(scene.model, options);
+    EXPECT_GT(scene.contacts->soft_contact_count.to_host()[0], 0);
     EXPECT_EQ(scene.of_steps(solver), 0);
   }
 }

@@ -98,12 +98,16 @@ def momenta(model: novaphy.Model, state: novaphy.State) -> tuple[np.ndarray, np.
 @pytest.mark.parametrize(
     ("mass", "coarse", "steps"),
     [(0.0034, None, 3), (0.34, None, 12), (34.0, None, 12),
-     (0.0034, "auto", 12), (0.34, "auto", 12), (34.0, "auto", 12)],
+     (0.0034, "auto", 3), (0.34, "auto", 12), (34.0, "auto", 12)],
 )  # fmt: skip
 def test_a_free_cloth_and_a_free_box_keep_their_momentum(
     mass: float, coarse: str | None, steps: int
 ) -> None:
-    """The sheet has 0.34 kg, so the mass ratios are 1:100, 1:1 and 100:1."""
+    """The sheet has 0.34 kg, so the mass ratios are 1:100, 1:1 and 100:1.
+
+    The lightest box flies off after three steps. The sheet alone has no balance of its angular
+    momentum.
+    """
     builder = builder_of(gravity=0.0)
     add_sheet(builder, 12)
     box = add_box(builder, (0.03, 0, 0.12), mass)

@@ -235,7 +235,7 @@ void write_start(std::ostream& out) {
                  "S (&adjoint)[kStartFloats[" + std::to_string(role) + "]]");
 }
 
-void write_contact(std::ostream& out, const char* name, bool at_solution, bool stiffness) {
+void write_contact(std::ostream& out, bool at_solution) {
   Graph::get().clear();
   Inputs inputs;
   const Vec3<Symbol> x = inputs.add_vector("x"), start = inputs.add_vector("start");
@@ -249,10 +249,8 @@ void write_contact(std::ostream& out, const char* name, bool at_solution, bool s
   c.mu = inputs.add("c.mu");
   c.slip = inputs.add("c.slip");
   c.inside = inputs.add("c.inside");
-  Block<Symbol> block =
-      stiffness ? particle_contact_stiffness(x, start, c) : particle_contact_block(x, start, c);
-  if (stiffness) block.f = {};
-  const Adjoints adjoints = adjoints_of(block, inputs, at_solution);
+  c.reach = inputs.add("c.reach");
+  const Adjoints adjoints = adjoints_of(particle_contact_block(x, start, c), inputs, at_solution);
   std::vector<Result> results;
   const auto of = [&](const Vec3<Symbol>& v) {
     return Vec3<Symbol>{adjoints.of(v.x), adjoints.of(v.y), adjoints.of(v.z)};
@@ -263,8 +261,8 @@ void write_contact(std::ostream& out, const char* name, bool at_solution, bool s
   results.push_back({"to.law[1]", adjoints.of(c.ke)});
   results.push_back({"to.law[2]", adjoints.of(c.kd_by_h)});
   results.push_back({"to.law[3]", adjoints.of(c.mu)});
-  out << "template <class S>\nNOVAPHY_LANE_FN void contact_adjoint(" << name
-      << ", const Vec3<S>& x, const Vec3<S>& start, const ParticleContact<S>& c, const "
+  out << "template <class S>\nNOVAPHY_LANE_FN void contact_adjoint(ContactCase<" << at_solution
+      << ">, const Vec3<S>& x, const Vec3<S>& start, const ParticleContact<S>& c, const "
          "Block<S>& adjoint, ContactAdjoints<S>& to) {\n  using namespace math;\n";
   Writer(out, inputs).write(results);
   out << "}\n";
@@ -292,15 +290,13 @@ template <bool at_solution, bool damped>
 struct SlotCase {};
 template <bool at_solution>
 struct ContactCase {};
-// The derivatives of B:H alone, with the H of particle_contact_stiffness.
-struct ContactStiffnessCase {};
 // The derivatives of the slot's numbers of the start.
 struct StartCase {};
 
 )";
 
 void write_blocks(std::ostream& out, bool at_solution) {
-  write_contact(out, at_solution ? "ContactCase<true>" : "ContactCase<false>", at_solution, false);
+  write_contact(out, at_solution);
   for_roles([&](auto is) {
     constexpr Role role = decltype(is)::role;
     write_slot<role>(out, at_solution, true);
@@ -350,7 +346,6 @@ void write_all_numbers(std::ostream& out) {
 void write_all(std::ostream& out) {
   out << kHead << kDeclarations;
   for (const bool at_solution : {false, true}) write_blocks(out, at_solution);
-  write_contact(out, "ContactStiffnessCase", false, true);
   for_roles([&out](auto is) {
     constexpr Role role = decltype(is)::role;
     write_stiffness<role>(out);

@@ -162,10 +162,10 @@ void StepAdjoint::add_coarse_balance() {
   const int64_t groups = step_.colors().back(), lanes = groups * step_.slots().lanes();
   VbdAdjointArguments a = arguments(&step_.before(last), 0, groups);
   a.sweep.x = step_.before(last);
+  a.sweep.turns = 0;  // see StepList::add_coarse_balance
   a.after = step_.end();
   a.multiplier = multipliers_;
-  VbdCoarseArguments c = coarse.arguments(step_.sweep(0, groups), 0);
-  c.sweep.x = step_.before(last);
+  VbdCoarseArguments c = coarse.arguments(a.sweep, 0);
   list_->add(kernels().coarse_outer, lanes, c);
   c.force = x_bar_;  // the adjoint of s is the sum of the positions' adjoints
   list_->add(kernels().coarse_balance, coarse.systems(), c);
@@ -203,7 +203,7 @@ void StepAdjoint::add_coarse_matrices() {
   const int64_t groups = step_.colors().back();
   for (size_t k = 0; k < fields_.size(); ++k) {
     VbdAdjointArguments a = arguments(&step_.after_sweep(k), 0, groups);
-    a.sweep.x = step_.before(0);
+    a.sweep.x = step_.after_sweep(0);
     a.after = step_.before(k + 1);
     a.multiplier = fields_[k];
     list_->add(kernels().adjoint_stiffness, groups * step_.slots().lanes(), a);
@@ -264,9 +264,9 @@ void StepAdjoint::make_list(const VbdAdjointBeginArguments& begin,
     if (corrects) add_coarse_balance();
     for (size_t k = iterations; k-- > 0;) {
       if (corrects) add_coarse_step(k);
+      if (corrects && k == 0) add_coarse_matrices();
       add_colors(&step_.before(k), nullptr);
     }
-    if (corrects) add_coarse_matrices();
   }
   balance_ = list_->size();
   if (key_.at_solution) {

@@ -73,7 +73,9 @@ void StepList::add_coarse_step(const Step& step) {
 void StepList::add_coarse_balance(const Step& step) {
   const Coarse& coarse = *step.coarse();
   const int64_t groups = step.colors().back();
-  const VbdCoarseArguments a = coarse.arguments(step.sweep(0, groups), 0);
+  VbdSweepArguments sweep = step.sweep(0, groups);
+  sweep.turns = 0;  // the stiffness of the forces alone, so that the sum becomes zero
+  const VbdCoarseArguments a = coarse.arguments(sweep, 0);
   list_.add(kernels().coarse_outer, groups * step.slots().lanes(), a, kLaneRows);
   list_.add(kernels().coarse_balance, coarse.systems(), a, kLaneRows);
   list_.add(kernels().coarse_shift, step.model().particle_count(), a, kParticleRows);
@@ -94,7 +96,6 @@ StepList::StepList(const Step& step, const VbdPredictArguments& predict,
       list_.add(kernels().prepare, groups * step.slots().lanes(), step.sweep(0, groups), kLaneRows);
   iterations_.push_back(list_.size());
   const bool corrects = step.coarse() != nullptr && step.options().iterations > 0;
-  if (corrects) add_coarse_matrices(step);
   for (int32_t k = 1; k <= step.options().iterations; ++k) {
     keep();
     add_moves(step);
@@ -102,6 +103,7 @@ StepList::StepList(const Step& step, const VbdPredictArguments& predict,
       list_.add(kernels().accelerate, n, step.acceleration(k), kParticleRows);
     if (corrects) {
       keep();
+      if (k == 1) add_coarse_matrices(step);
       add_coarse_step(step);
       if (!searches.empty())
         list_.add(kernels().keep, step.coarse()->systems(),

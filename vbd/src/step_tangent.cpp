@@ -81,9 +81,8 @@ Rows StepTangent::unrolled(const SweepTangents& along) {
   const auto copy = [](const Rows4& from, const Rows4& to) {
     novaphy::run(kernels().keep, static_cast<int64_t>(from.rows()), {.x = from, .iterate = to});
   };
-  const Rows4 end(x_.rows(), step_.device()), guess(x_.rows(), step_.device());
+  const Rows4 end(x_.rows(), step_.device()), swept(x_.rows(), step_.device());
   copy(step_.x(), end);
-  copy(x_, guess);
   if (iterations > 0) copy(step_.before(0), step_.x());
   for (size_t k = 0; k < iterations; ++k) {
     const Rows4& after = corrects             ? step_.after_sweep(k)
@@ -97,7 +96,8 @@ Rows StepTangent::unrolled(const SweepTangents& along) {
       const int64_t first = step_.colors()[color], groups = step_.colors()[color + 1] - first;
       novaphy::run(kernels().commit, groups * step_.slots().lanes(), step_.commit(first, after));
     }
-    if (corrects) correct(k, guess);
+    if (corrects && k == 0) copy(x_, swept);
+    if (corrects) correct(k, swept);
     if (corrects) copy(step_.before(k + 1), step_.x());
   }
   if (corrects) balance();
@@ -106,8 +106,8 @@ Rows StepTangent::unrolled(const SweepTangents& along) {
 }
 
 // Adds to x the tangent of the coarse step t P A^-1 P^T f, by the tangents of f and of A. The
-// matrix A depends on the initial guess, whose tangents are `guess`.
-void StepTangent::correct(size_t iteration, const Rows4& guess) {
+// matrix A depends on the positions after the first sweep, whose tangents are `swept`.
+void StepTangent::correct(size_t iteration, const Rows4& swept) {
   const Coarse& coarse = *step_.coarse();
   const int64_t groups = step_.colors().back();
   VbdCoarseArguments c = coarse.arguments(step_.sweep(0, groups), 0);
@@ -125,8 +125,8 @@ void StepTangent::correct(size_t iteration, const Rows4& guess) {
   a.force_tangent = result_;
   launch(a);
   add(step_.search(iteration));
-  a.sweep.x = step_.before(0);
-  a.x = guess;
+  a.sweep.x = step_.after_sweep(0);
+  a.x = swept;
   a.before = step_.after_sweep(iteration);
   a.after = step_.before(iteration + 1);  // the step d includes its length t
   novaphy::run(kernels().tangent_stiffness, groups * step_.slots().lanes(), a);
@@ -136,9 +136,10 @@ void StepTangent::correct(size_t iteration, const Rows4& guess) {
 void StepTangent::balance() {
   const Coarse& coarse = *step_.coarse();
   const int64_t groups = step_.colors().back();
-  VbdCoarseArguments c = coarse.arguments(step_.sweep(0, groups), 0);
-  novaphy::run(kernels().coarse_outer, groups * step_.slots().lanes(), c);
   VbdTangentArguments a = arguments(0, step_.colors().size() - 1, true);
+  a.sweep.turns = 0;  // see StepList::add_coarse_balance
+  VbdCoarseArguments c = coarse.arguments(a.sweep, 0);
+  novaphy::run(kernels().coarse_outer, groups * step_.slots().lanes(), c);
   a.force_tangent = result_;
   a.before = step_.before(static_cast<size_t>(step_.options().iterations));
   a.after = step_.end();

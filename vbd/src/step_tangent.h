@@ -59,7 +59,7 @@ class StepTangent {
   void launch(const VbdTangentArguments& arguments) const;
   void move(size_t color, const Rows4& x) const;
   // Compute the tangent of a coarse correction: of the step of an iteration, and of the balance.
-  void correct(size_t iteration, const Rows4& guess);
+  void correct(size_t iteration, const Rows4& swept);
   void balance();
   Rows force_tangent(const Rows& x);
 

@@ -4,7 +4,8 @@
 // A coarse step solves A a = P^T f for the unknowns a, and moves the particles by t d with d = P a.
 // Let xbar be the adjoint of the moved positions, and u = t P A^-1 P^T xbar. The derivative of t
 // d.xbar is the derivative of u.f - u.(H d) with constant u and d. f are the forces at the
-// positions before the step. H is the stiffness at the initial guess. The length t is constant.
+// positions before the step. H is the stiffness at the positions after the first sweep. The length
+// t is constant.
 //
 // The tangent along a direction is a' = A^-1 P^T (f' - H' d). The balance of free systems has the
 // same form, with inertia and contacts alone.
@@ -27,8 +28,10 @@ void reverse_stiffness(const VbdAdjointArguments& a, const LaneGroup<S>& g) {
   using Access = LaneAccess<S>;
   if (g.filled == 0) return;
   const Vec3<S> x = g.at(a.sweep.x), u = g.at(a.multiplier), d = step_of<S>(a, g.particle);
+  Block<S> of_stiffness = adjoints_of(u, d);
+  of_stiffness.f = {};
   Vec3<S> own, by_start;
-  reverse_contacts(ContactStiffnessCase(), a, g, x, adjoints_of(u, d), own, by_start);
+  reverse_contacts(ContactCase<false>(), a, g, x, of_stiffness, own, by_start);
   g.add(a.start_adjoint, by_start);
   const S by_mass = math::dot(u, d);
   for (int l = 0; l < g.filled; ++l) {
@@ -57,7 +60,7 @@ void tangent_stiffness(const VbdTangentArguments& a, const LaneGroup<S>& g) {
   const TangentGroup<S> of = {a, g};
   const auto moving = of.place(g.particle);
   const Vec3<S> x = g.at(a.sweep.x), own = math::tangent_of(moving), d = step_of<S>(a, g.particle);
-  const auto outer = multiply_stiffness(of.template contacts<true>(moving), of.still(d));
+  const auto outer = multiply_stiffness(of.contacts(moving), of.still(d));
   Vec3<S> sum = math::tangent_of(outer) + d * of.mass().d;
   for_roles([&](auto is) {
     constexpr Role role = decltype(is)::role;

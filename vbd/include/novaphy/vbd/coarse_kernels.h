@@ -8,8 +8,8 @@
 //
 // Each aggregate has 1 to 4 functions: the constant 1, and linear functions of the rest positions.
 // The unknowns a are one vector for each function. P a is the displacement field of the system: the
-// sum of each function times its vector. H is the stiffness of the step at the initial guess
-// (stiffness_law.h, inertia, contacts):
+// sum of each function times its vector. H is the stiffness of the step at the positions after the
+// first sweep (stiffness_law.h, inertia, contacts):
 //   A = P^T H P,  A a = P^T f,  x += t P a
 //
 // f are the forces at x. The length t starts at 1. A line search halves t while f(x + t P a).(P a)
@@ -112,12 +112,8 @@ void coarse_rows(const VbdCoarseArguments& a, const LaneGroup<S>& g) {
     for (int64_t k = 9 * begin; k < 9 * end; ++k) a.rows[k] = 0.0f;
   }
   const Vec3<S> x = g.at(a.sweep.x);
-  Block<S> outer = inertia_block(x, g.at(a.sweep.target), g.mass_by_h2());
-  for_contacts(g, [&](const LaneContacts<S>& c) {
-    const Block<S> block = particle_contact_stiffness(x, g.at(a.sweep.start), c.contact);
-    outer = outer + where(c.touching, block);
-  });
-  Mat33<S> own = stiffness_matrix(outer);
+  Mat33<S> own = stiffness_matrix(inertia_block(x, g.at(a.sweep.target), g.mass_by_h2()) +
+                                  contact_blocks(g, x));
   for_roles([&](auto is) {
     constexpr Role role = decltype(is)::role;
     for_slots<role>(g, [&](const auto& slot) {

@@ -18,6 +18,10 @@
 // v_s are constant in a step.
 // Symbols: x (m), ke (N/m), kd (N*s/m), mu (1), eps (m).
 //
+// Beside a coarse correction H also has ke (1 - gap/b)^2 n n^T while the gap -pen is between 0 and
+// b = 0.1 R. A step towards the surface then meets the stiffness that begins there. Without it the
+// step ends deep in the contact, and the next coarse step throws the particles out again.
+//
 // The safeguard against too long steps uses the energy
 //   ke/2 pen^2 + [n.u < 0] kd/(2h) (n.u)^2 + mu ke pen_0 S(|u_t|), with S' = c |u_t|/(mu ke pen)
 // The friction force has no potential. The energy therefore has pen_0, the overlap before the
@@ -36,11 +40,12 @@
 
 namespace novaphy::vbd {
 
-// `radius` is R (m), `slip` is eps (m), `travel` is h v_s (m), and `inside` is 0 or 1.
+// `radius` is R (m), `slip` is eps (m), `travel` is h v_s (m), `inside` is 0 or 1, and `reach` is
+// b/R, or 0 without this part of H.
 template <class T>
 struct ParticleContact {
   Vec3<T> point{}, normal{}, travel{};
-  T radius{}, ke{}, kd_by_h{}, mu{}, slip{}, inside{};
+  T radius{}, ke{}, kd_by_h{}, mu{}, slip{}, inside{}, reach{};
 };
 
 template <template <class> class B = Block, class T>
@@ -64,27 +69,11 @@ B<T> particle_contact_block(const Vec3<T>& x, const Vec3<T>& start, const Partic
   block.f = n * (c.ke * depth + damping * approach) - ut * friction;
   add_identity(block, friction);
   add_outer(block, (c.ke + damping) - friction, n);
-  return where(depth > zero, block);
-}
-
-// Returns the block whose H has the derivative of the friction force for a constant load mu ke pen.
-// In the direction of the slip this derivative is 0 beyond eps, and 2 mu ke pen (1 - |u_t|/eps)/eps
-// below eps.
-template <class T>
-Block<T> particle_contact_stiffness(const Vec3<T>& x, const Vec3<T>& start,
-                                    const ParticleContact<T>& c) {
-  using namespace math;
-  const T zero = T(0.0f), one = T(1.0f);
-  const Vec3<T> u = (x - start) - c.travel, ut = u - c.normal * dot(c.normal, u);
-  const T load = (c.mu * c.ke) * max(zero, c.radius - dot(c.normal, x - c.point));
-  const T squared = dot(ut, ut), slip = sqrt(squared);
-  const auto slides = slip > c.slip;
-  // (stiffness along the slip - c) / |u_t|^2, for a load of 1
-  const T less = select(slides, -(one / select(slides, squared * slip, one)),
-                        -(one / ((c.slip * c.slip) * max(slip, c.slip * T(1e-6f)))));
-  Block<T> block = particle_contact_block(x, start, c);
-  add_outer(block, load * less, ut);
-  return block;
+  B<T> all = where(depth > zero, block);
+  const T reach = max(c.reach * c.radius, T(1e-12f)), near = max(zero, one + depth / reach);
+  const T ahead = select(c.reach > zero, (c.ke * near) * near, zero);
+  add_outer(all, select(depth > zero, zero, ahead), n);
+  return all;
 }
 
 // Returns the load ke pen (N) of the contact at x. The argument `load` of particle_contact_energy

@@ -22,6 +22,9 @@ namespace novaphy {
 // the memory of a thread block (see vbd_move_by_blocks).
 constexpr int kVbdLanes = 4, kVbdLargeBlock = 8, kVbdBlockTerms = 832;
 
+// ParticleContact::reach of the sweeps beside a coarse correction.
+constexpr float kVbdContactReach = 0.1f;
+
 struct VbdSweepArguments {
   NOVAPHY_ARGUMENTS(Reads<int32_t> particle;  // of each lane of each group
                     Reads<int32_t> filled;    // count of lanes of a group with a particle
@@ -36,7 +39,9 @@ struct VbdSweepArguments {
                     Number<float> regularization, slip, inside;  // see ParticleContact
                     Number<int64_t> lanes;                       // count of lanes of a group
                     Number<int64_t> damped;                      // bit r: role r has damping
-                    Number<int64_t> turns;  // 1: argument `turns` of block_of is true
+                    // 1: blocks for a coarse correction (argument `turns` of block_of, and
+                    // ParticleContact::reach)
+                    Number<int64_t> turns;
                     Number<int64_t> first_group, end_group,
                     block_groups;            // groups of a thread block: 1 or kVbdLargeBlock
                     Writes<float> residual;  // output of vbd_residual and of write_block
@@ -193,10 +198,11 @@ void for_contacts(const LaneGroup<S>& g, const Body& body) {
       any = true;
     }
     if (!any) return;
+    const S reach = S(a.turns != 0 ? kVbdContactReach : 0.0f);
     const auto number = [&rows](int c) { return Access::load(rows[c]); };
     const auto point = [&](int c) { return Vec3<S>{number(c), number(c + 1), number(c + 2)}; };
-    all.contact = {point(0),   point(3),   point(6),        number(9),        number(10),
-                   number(11), number(12), S(a.slip.value), S(a.inside.value)};
+    all.contact = {point(0),   point(3),   point(6),        number(9),         number(10),
+                   number(11), number(12), S(a.slip.value), S(a.inside.value), reach};
     body(all);
   }
 }

@@ -76,8 +76,6 @@ struct TangentGroup {
       block = block + block_of(in, g.is_damped(role), a.sweep.turns != 0);
     });
   }
-  // `stiffness`: the blocks have the H of a coarse step.
-  template <bool stiffness = false>
   Block<Tangent> contacts(const Point& x) const {
     Block<Tangent> outer;
     if (a.sweep.contact_begin == nullptr) return outer;
@@ -89,14 +87,14 @@ struct TangentGroup {
         for (int n = 0; all.number[l] >= 0 && n < kContactLawFloats; ++n)
           Access::set(tangents[n], l,
                       a.contacts[static_cast<int64_t>(all.number[l]) * kContactLawFloats + n]);
-      ParticleContact<Tangent> contact = {
-          still(c.point),          still(c.normal),     still(c.travel),
-          {c.radius, tangents[0]}, {c.ke, tangents[1]}, {c.kd_by_h, tangents[2]},
-          {c.mu, tangents[3]},     Tangent(c.slip),     Tangent(c.inside)};
+      ParticleContact<Tangent> contact = {still(c.point),      still(c.normal),
+                                          still(c.travel),     {c.radius, tangents[0]},
+                                          {c.ke, tangents[1]}, {c.kd_by_h, tangents[2]},
+                                          {c.mu, tangents[3]}, Tangent(c.slip),
+                                          Tangent(c.inside),   Tangent(c.reach)};
       if (a.loads_at != nullptr) contact.mu = friction_of_load(x, still(g.at(a.loads_at)), contact);
-      const Block<Tangent> block = stiffness ? particle_contact_stiffness(x, begin, contact)
-                                             : particle_contact_block(x, begin, contact);
-      outer = outer + where(all.touching, without_held(all, block));
+      outer =
+          outer + where(all.touching, without_held(all, particle_contact_block(x, begin, contact)));
     });
     return outer;
   }

@@ -130,7 +130,8 @@ DiffSemiImplicitSolver::DiffSemiImplicitSolver(std::shared_ptr<const Model> mode
                                     .soft = moves_particles() && config.enable_particle_contacts,
                                     .jointed = joints_.has_value(),
                                     .elements = particles_.has_elements(),
-                                    .smoothing = friction_smoothing_});
+                                    .smoothing = friction_smoothing_,
+                                    .may_hold = config.contact_gradient == DerivativeOf::Auto});
 }
 
 // Refuses elements that exert a force but are not enabled.

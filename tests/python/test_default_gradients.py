@@ -156,3 +156,31 @@ def test_the_name_of_the_default() -> None:
     assert novaphy.solvers.DiffSolverConfig().contact_gradient == "auto"
     with pytest.raises(ValueError, match='expected "auto", "code" or "motion", got "x"'):
         novaphy.solvers.DiffSolverConfig(contact_gradient="x")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_captured_backward_of_steps_outside_has_the_derivative_of_the_code(kind: str) -> None:
+    from novaphy import diff, nova
+
+    model = ball(kind)
+    name = "joint" if kind == "tree" else kind
+
+    def found(mode: str) -> tuple[list[np.ndarray], str]:
+        solver, path = KINDS[kind](model, contact_gradient=mode), diff.Trajectory(model, STEPS)
+        rate = getattr(diff, f"state_{name}_qd_tensor")(path[0], requires_grad=True)
+        with nova.Tape() as tape:
+            solver.rollout(path, None, None, DT, pipeline=novaphy.CollisionPipeline(model))
+            end = getattr(diff, f"state_{name}_q_tensor")(path[STEPS]).reshape(-1)[2]
+        with nova.ScopedCapture() as capture:
+            tangent = tape.jvp([end], [rate], [nova.ones(rate.shape)])[0]
+            tape.backward(end)
+        capture.graph.launch()
+        return [rate.grad.numpy(), tangent.numpy()], solver.gradient_info().label
+
+    default, label = found("auto")
+    code = found("code")[0]
+    assert label == "exact of the code" and np.abs(code[0]).max() > 0.01
+    for mine, theirs in zip(default, code, strict=True):
+        np.testing.assert_allclose(mine, theirs, rtol=1e-5, atol=1e-6)
+    with pytest.raises(NotImplementedError, match='"motion" is not supported by a backward or jvp'):
+        found("motion")

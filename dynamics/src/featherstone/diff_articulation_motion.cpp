@@ -176,6 +176,15 @@ void note_motion(const std::shared_ptr<const Step>& step,
   notes.after = smooth_accelerations(s, held, notes.found.limits);
 }
 
+bool holds_times(const Step& s) {
+  if (nova::current_capture() == nullptr) return false;
+  require(s.shared->contact_gradient == DerivativeOf::Auto, ErrorKind::NotImplemented, kName,
+          ": contact_gradient: \"motion\" is not supported by a backward or jvp inside a "
+          "ScopedCapture; use \"code\"");
+  s.shared->motion.held = "inside a ScopedCapture";
+  return true;
+}
+
 void motion_vjp(const Step& s, std::span<const Tensor> outputs,
                 std::span<const nova::InputGradient> gradients, const Adjoint& run) {
   MotionNotes& notes = *s.motion;

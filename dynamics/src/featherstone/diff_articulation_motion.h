@@ -182,6 +182,9 @@ struct Costate {
 Costate costate_behind(const ArticulationStep::Step& step, const ArticulationArguments& in,
                        std::span<const nova::Tensor> outputs);
 
+// Returns whether an adjoint or a tangent of a step holds the times of events, because a capture
+// records it. ErrorKind::NotImplemented: with DerivativeOf::Motion.
+bool holds_times(const ArticulationStep::Step& step);
 // Runs the adjoint of a step with moved event times. `run`: the adjoint of the code.
 using Adjoint = std::function<void(std::span<const nova::InputGradient>)>;
 void motion_vjp(const ArticulationStep::Step& step, std::span<const nova::Tensor> outputs,

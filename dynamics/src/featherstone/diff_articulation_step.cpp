@@ -47,7 +47,7 @@ nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
   op.submits_only = !step->shared->runs_on_host();
   op.vjp = [step](std::span<const Tensor> outputs, std::span<const nova::InputGradient> inputs) {
     const auto run = [&](std::span<const nova::InputGradient> to) {
-      if (step->motion)
+      if (step->motion && !holds_times(*step))
         motion_vjp(*step, outputs, to,
                    [&](std::span<const nova::InputGradient> of) { submit_vjp(step, outputs, of); });
       else if (step->following.empty())
@@ -62,7 +62,7 @@ nova::CustomOp make_op(const std::shared_ptr<const Step>& step) {
   };
   op.forward = [step] { run_all(step); };
   op.jvp = [step](std::span<const Tensor> inputs, std::span<const Tensor> outputs) {
-    if (!step->motion) return submit_jvp(step, inputs, outputs);
+    if (!step->motion || holds_times(*step)) return submit_jvp(step, inputs, outputs);
     motion_jvp(*step, inputs, outputs,
                [&](std::span<const Tensor> from) { submit_jvp(step, from, outputs); });
   };
@@ -119,8 +119,10 @@ struct ArticulationStep::Shared::Witness : GradientWitness {
   MotionEvents events() const override { return motion.events; }
   bool has_events() const override { return shared->moves() && motion.held == nullptr; }
   GradientInfo info() const override {
+    MotionCounts of = motion;
+    if (of.held == nullptr) of.held = shared->motion.held;
     return gradient_info(has_replays ? all_branches(*shared).all : counts, false,
-                         shared->contact_gradient == DerivativeOf::Code ? nullptr : &motion);
+                         shared->contact_gradient == DerivativeOf::Code ? nullptr : &of);
   }
   const char* without_record() const override {
     return shared->runs_on_host() ? nullptr : "DiffFeatherstoneSolver on a device";

@@ -265,6 +265,16 @@ std::array<Vec3d, 2> respond(const Model& m, const SideFrame& at, const Vec3d& f
           math::rotate(at.turn, Vec3d{row(0), row(1), row(2)})};
 }
 
+// Returns whether a backward or jvp holds the times of contacts, because a capture records it.
+bool holds_times(const TouchWork& work) {
+  if (nova::current_capture() == nullptr) return false;
+  require(work.may_hold, ErrorKind::NotImplemented,
+          "DiffSemiImplicitSolver: contact_gradient: \"motion\" is not supported by a backward or "
+          "jvp inside a ScopedCapture; use \"code\"");
+  work.held = true;
+  return true;
+}
+
 void record_touches(const std::shared_ptr<const TouchWork>& work, bool at_start,
                     const TouchArrays& from, const TouchArrays& to) {
   const auto tensor_of = [](const nova::Operand& o) {
@@ -288,6 +298,11 @@ void record_touches(const std::shared_ptr<const TouchWork>& work, bool at_start,
       nova::submit_copy(outputs[i].range(), inputs[i].range());
   };
   op.vjp = [=](std::span<const nova::Tensor> g, std::span<const nova::InputGradient> gradients) {
+    if (holds_times(*work)) {
+      for (size_t i = 0; i < inputs.size(); ++i)
+        if (gradients[i].wanted()) gradients[i].put(g[i]);
+      return;
+    }
     std::vector<nova::Tensor> of, sum;
     for (size_t i = 0; i < inputs.size(); ++i) of.push_back(copy_of(inputs[i], g[i]));
     for (const nova::Tensor& t : of) sum.push_back(copy_of(t, t));
@@ -299,6 +314,11 @@ void record_touches(const std::shared_ptr<const TouchWork>& work, bool at_start,
       if (gradients[i].wanted()) gradients[i].put(sum[i]);
   };
   op.jvp = [=](std::span<const nova::Tensor> in, std::span<const nova::Tensor> out) {
+    if (holds_times(*work)) {
+      for (size_t i = 0; i < inputs.size(); ++i)
+        if (const nova::InputGradient to{out[i], false}; to.wanted()) to.put(in[i]);
+      return;
+    }
     std::vector<nova::Tensor> x;
     for (size_t i = 0; i < inputs.size(); ++i) {
       x.push_back(copy_of(inputs[i], in[i]));
@@ -334,7 +354,8 @@ MotionCounts TouchList::counts() const {
   counts.of_springs = true;
   counts.ramp_steps = ramp_steps;
   counts.limits = limits;
-  counts.held = held;
+  const bool holds = std::ranges::any_of(works, [](const auto& work) { return work->held; });
+  counts.held = holds ? "inside a ScopedCapture" : held;
   counts.moved = std::ranges::count_if(works, [](const auto& work) { return work->acts(); });
   for (const auto& e : events) {
     if (e->flaw == detail::TouchFlaw::Rests) continue;

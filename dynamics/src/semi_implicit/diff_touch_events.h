@@ -137,6 +137,8 @@ struct TouchWork {
   std::vector<std::shared_ptr<TouchRamp>> ramps;
   const void* of_record = nullptr;  // address of the step in an AdjointRecord
   double dt = 0.0;                  // s
+  bool may_hold = false;      // TouchSettings::may_hold
+  mutable bool held = false;  // a backward or jvp inside a capture has held the times
   // Returns whether the gradient of the step has a term besides that of the code.
   bool acts() const {
     return std::ranges::any_of(steps, [](const auto& s) { return s->event->is_window(); }) ||

@@ -212,6 +212,7 @@ TouchedStep TouchMotion::begin(const Model& model, const SimState& in, SimState&
   step.forces = forces;
   step.body_forces = body_forces;
   step.work = std::make_shared<TouchWork>();
+  step.work->may_hold = t.settings.may_hold;
   // Forces of joints act on unattached bodies too. Their change within a touch is not modeled, so a
   // change of control cuts the touch.
   const bool same = !t.settings.jointed || t.last_control == control;

@@ -60,6 +60,8 @@ struct TouchSettings {
   bool rigid = false, soft = false;        // which kinds of contacts act
   bool jointed = false, elements = false;  // whether the model has joints and elements
   float smoothing = 0.0f;                  // m/s: slip below which friction of bodies is smoothed
+  // Whether a backward or jvp inside a capture holds the times. Else it throws.
+  bool may_hold = false;
 };
 
 // A step on a tape. Its kernels read from() and write to(): separate copies, or the given states.

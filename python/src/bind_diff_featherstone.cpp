@@ -72,7 +72,7 @@ void bind_diff_featherstone(py::module_& m, py::module_& solvers) {
            "max_depenetration_velocity"_a = d.max_depenetration_velocity,
            "restitution_threshold"_a = d.restitution_threshold,
            "compliant_contacts"_a = d.compliant_contacts, "allow_unconverged"_a = false,
-           "contact_gradient"_a = "code", "joint_limits"_a = "spring",
+           "contact_gradient"_a = "auto", "joint_limits"_a = "spring",
            "joint_limit_restitution"_a = d.joint_limit_restitution, doc::kDiffFeatherstoneInit)
       .def("gradient_info", &info_of, doc::kFeatherstoneInfo)
       .def("clear_gradient_info", &DiffFeatherstoneSolver::clear_gradient_info,

@@ -31,8 +31,8 @@ as a velocity. The error names the step, and the pair of shapes or the joint.
 contact_gradient: "code": the derivative of the computed steps. The step in which a contact begins
 counts as a constant. "motion": the derivative also moves the time at which a contact begins
 (saltation matrix). The gradient of a bounce then agrees with differences of the motion in sign and
-size. "auto": "motion" where it is supported, else "code"; gradient_info gives the reason. The
-states are the same.
+size. "auto": "motion" in steps with contacts where it is supported, else "code"; gradient_info
+gives the reason. The states are the same.
 
 NotImplementedError: contact="penalty". NotImplementedError: "motion" on a device, in a capture or
 with compliant_contacts.)";

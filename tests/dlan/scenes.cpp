@@ -253,7 +253,7 @@ std::vector<float> articulation_contact_gradients(Device device, bool capture) {
   for (const float x : {0.0f, 2.0f})
     testing::contact_scenes::add_walker(b, x, 0.318f, -1, 0.5f * x);
   const auto model = b.finalize(device, {.requires_grad = true});
-  diff::DiffFeatherstoneSolver solver(model);
+  diff::DiffFeatherstoneSolver solver(model, {}, false, diff::DerivativeOf::Code);
   CollisionPipeline pipeline(model, {.rigid_contact_max = 100});
   constexpr int32_t kSteps = 12;
   Trajectory trajectory(model, kSteps);

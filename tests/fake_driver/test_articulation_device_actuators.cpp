@@ -110,7 +110,7 @@ TEST_F(ArticulationDevices, ActuatedStepsHaveTheBitsOfTheCpuDirectAndReplayed) {
 Result trained(Device device, bool captured, int32_t checkpoint) {
   using namespace diff;
   const auto model = made(device, true);
-  DiffFeatherstoneSolver solver(model);
+  DiffFeatherstoneSolver solver(model, {}, false, DerivativeOf::Code);
   constexpr int32_t kSteps = 8;
   Trajectory trajectory(model, kSteps, true, checkpoint);
   Control control = model->control();

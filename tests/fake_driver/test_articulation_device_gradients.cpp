@@ -40,6 +40,7 @@ struct Rollout {
   FeatherstoneOptions options = {};
   int32_t steps = 8, checkpoint = 1;
   bool captured = false, contacts = true, single = false;
+  diff::DerivativeOf derivative = diff::DerivativeOf::Code;
 };
 
 nova::Tensor squares(const SimState& s) {
@@ -54,7 +55,7 @@ Result trained(const ModelBuilder& builder, Device device, const Rollout& how,
                ContactBranches* said = nullptr) {
   using namespace diff;
   const auto model = builder.finalize(device, {.requires_grad = true});
-  DiffFeatherstoneSolver solver(model, how.options);
+  DiffFeatherstoneSolver solver(model, how.options, false, how.derivative);
   CollisionPipeline pipeline(model, {.rigid_contact_max = 300});
   Control control = model->control();
   std::vector<float> torques(static_cast<size_t>(model->joint_dof_count()));
@@ -164,6 +165,21 @@ void expect_gradients_of_the_cpu(const ModelBuilder& builder, Rollout how) {
 
 TEST_F(ArticulationGradientDevices, BoxesThatSlideAndBounceHaveTheBitsOfTheCpu) {
   expect_gradients_of_the_cpu(boxes(), {});
+}
+TEST_F(ArticulationGradientDevices, TheDefaultIsTheDerivativeOfTheCode) {
+  const Result code = trained(boxes(), Device::cuda(), {});
+  const Result of_default =
+      trained(boxes(), Device::cuda(), {.derivative = diff::DerivativeOf::Auto});
+  ASSERT_EQ(of_default.size(), code.size());
+  for (size_t k = 0; k < code.size(); ++k) {
+    if (code[k].first != "reason") {
+      EXPECT_TRUE(of_default[k].second == code[k].second) << code[k].first;
+      continue;
+    }
+    const auto* const text = reinterpret_cast<const char*>(of_default[k].second.data());
+    EXPECT_NE(std::string(text, of_default[k].second.size()).find("in steps on a device"),
+              std::string::npos);
+  }
 }
 TEST_F(ArticulationGradientDevices, AWalkerWithTorquesHasTheBitsOfTheCpu) {
   expect_gradients_of_the_cpu(standing(), {.steps = 8});

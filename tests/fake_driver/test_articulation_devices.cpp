@@ -165,7 +165,7 @@ TEST_F(ArticulationDevices, ARolloutHasTheBitsOfTheCpu) {
 Result trained(Device device, bool captured, int32_t checkpoint) {
   using namespace diff;
   const auto model = AllJointsScene::make().finalize(device, {.requires_grad = true});
-  DiffFeatherstoneSolver solver(model);
+  DiffFeatherstoneSolver solver(model, {}, false, DerivativeOf::Code);
   constexpr int32_t kSteps = 12;
   Trajectory trajectory(model, kSteps, true, checkpoint);
   Control control = model->control();
@@ -223,7 +223,7 @@ TEST_F(ArticulationDevices, RolloutsAndGradientsHaveTheBitsOfTheCpu) {
 Result tangents(Device device, bool captured, int32_t checkpoint) {
   using namespace diff;
   const auto model = AllJointsScene::make().finalize(device, {.requires_grad = true});
-  DiffFeatherstoneSolver solver(model);
+  DiffFeatherstoneSolver solver(model, {}, false, DerivativeOf::Code);
   constexpr int32_t kSteps = 6;
   Trajectory trajectory(model, kSteps, true, checkpoint);
   Control control = model->control();

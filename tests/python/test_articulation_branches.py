@@ -58,7 +58,7 @@ def gradient_and_value(dof: dict, options: dict, x: np.ndarray, steps: int):
     from novaphy.diff import state_joint_q_tensor, state_joint_qd_tensor
 
     model = hinges(dof)
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model, **options)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, **options, contact_gradient="code")
     weights = np.array([0.7, -1.1, 0.4, 0.9], np.float32)
 
     def value(at: np.ndarray) -> float:

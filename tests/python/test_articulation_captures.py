@@ -23,7 +23,7 @@ class Training:
         from novaphy.diff import Trajectory, state_joint_q_tensor, state_joint_qd_tensor
 
         self.model = builder.finalize()
-        self.solver = novaphy.solvers.DiffFeatherstoneSolver(self.model)
+        self.solver = novaphy.solvers.DiffFeatherstoneSolver(self.model, contact_gradient="code")
         self.trajectory = Trajectory(self.model, STEPS, checkpoint=checkpoint)
         first = self.trajectory[0]
         novaphy.eval_fk(self.model, first.joint_q, first.joint_qd, first)

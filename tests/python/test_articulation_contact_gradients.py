@@ -196,7 +196,9 @@ def test_the_gradient_of_a_step_is_that_of_the_converged_solve(case: str, held: 
 
     build, options, branches = (CASES if held else FOUND)[case]
     model = build().finalize(requires_grad=True)
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_iterations=2000, **options)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(
+        model, pgs_iterations=2000, **options, contact_gradient="code"
+    )
     state, after, control = model.state(), model.state(), model.control()
     novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
     pipeline = novaphy.CollisionPipeline(model)
@@ -286,7 +288,7 @@ def test_a_gradient_through_steps_that_find_their_contacts_is_that_of_the_real_s
     # With this slop and erp, one law holds for overlaps and gaps. A contact at rest is then at no
     # kink between two laws.
     solver = novaphy.solvers.DiffFeatherstoneSolver(
-        model, pgs_iterations=3000, pgs_slop=0.0, pgs_erp=1.0
+        model, pgs_iterations=3000, pgs_slop=0.0, pgs_erp=1.0, contact_gradient="code"
     )
     pipeline = novaphy.CollisionPipeline(model)
     steps = 20
@@ -329,7 +331,9 @@ def test_a_gradient_through_several_steps_of_a_walker() -> None:
     from novaphy.diff import state_joint_q_tensor
 
     model = walker().finalize(requires_grad=True)
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_iterations=2000)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(
+        model, pgs_iterations=2000, contact_gradient="code"
+    )
     pipeline = novaphy.CollisionPipeline(model)
     steps = 5
     states = [model.state() for _ in range(steps + 1)]
@@ -365,7 +369,7 @@ def test_a_rollout_that_finds_its_contacts_is_the_loop_of_steps(checkpoint: int 
     from novaphy.diff import Trajectory, state_joint_q_tensor
 
     model = walker().finalize(requires_grad=True)
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, contact_gradient="code")
     pipeline = novaphy.CollisionPipeline(model)
     steps = 12
     states = [model.state() for _ in range(steps + 1)]
@@ -399,7 +403,7 @@ def test_a_tape_with_contacts_goes_back_as_often_as_wanted(checkpoint: int | Non
     from novaphy.diff import Trajectory, state_joint_q_tensor
 
     model = walker().finalize(requires_grad=True)
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, contact_gradient="code")
     pipeline = novaphy.CollisionPipeline(model)
     trajectory = Trajectory(model, 12, checkpoint=checkpoint)
     novaphy.eval_fk(model, trajectory[0].joint_q, trajectory[0].joint_qd, trajectory[0])
@@ -430,8 +434,10 @@ def test_steps_of_an_ant_are_exact_and_match_differences(monkeypatch, capsys) ->
     # With this slop and erp, one law holds for overlaps and gaps. A contact at rest is then at no
     # kink between two laws.
     options = {"pgs_slop": 0.0, "pgs_erp": 1.0}
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model, **options)
-    converged = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_iterations=2000, **options)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, **options, contact_gradient="code")
+    converged = novaphy.solvers.DiffFeatherstoneSolver(
+        model, pgs_iterations=2000, **options, contact_gradient="code"
+    )
     pipeline = novaphy.CollisionPipeline(model)
     contacts, probed, control = pipeline.contacts(), pipeline.contacts(), model.control()
     state, after = model.state(), model.state()
@@ -502,7 +508,7 @@ def test_the_label_falls_where_sweeps_do_not_converge() -> None:
         weight = novaphy.ShapeConfig(mu=0.5, density=10.0 if k % 2 == 0 else 1e4)
         builder.add_shape_box(cube, hx=0.1, hy=0.1, hz=0.1, cfg=weight)
     model = builder.finalize()
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, contact_gradient="code")
     pipeline = novaphy.CollisionPipeline(model)
     contacts = pipeline.contacts()
     state, after = model.state(), model.state()
@@ -516,7 +522,7 @@ def test_the_label_falls_where_sweeps_do_not_converge() -> None:
     assert solver.gradient_info()["contact_steps"] == 0
 
     model = ball((0.0, 0.0, 0.0, 0.0, 0.0, 0.0), z=0.1).finalize()
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, contact_gradient="code")
     pipeline = novaphy.CollisionPipeline(model)
     contacts = pipeline.contacts()
     state, after = model.state(), model.state()
@@ -539,7 +545,9 @@ def test_a_contact_whose_gap_is_exactly_zero_has_the_slope_of_its_neighbours(sha
     else:
         builder.add_shape_box(body, hx=0.5, hy=0.5, hz=0.5)
     model = builder.finalize(requires_grad=True)
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_slop=0.0, pgs_erp=1.0)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(
+        model, pgs_slop=0.0, pgs_erp=1.0, contact_gradient="code"
+    )
     pipeline = novaphy.CollisionPipeline(model)
     slopes = []
     for offset in (-1e-5, 0.0, 1e-5):
@@ -565,13 +573,13 @@ def test_what_has_no_gradient_through_contacts_raises() -> None:
     state, after = model.state(), model.state()
     pipeline.collide(state, contacts)
     with pytest.raises(NotImplementedError, match="penalty"):
-        novaphy.solvers.DiffFeatherstoneSolver(model, contact="penalty")
-    refusing = novaphy.solvers.DiffFeatherstoneSolver(model, contact=None)
+        novaphy.solvers.DiffFeatherstoneSolver(model, contact="penalty", contact_gradient="code")
+    refusing = novaphy.solvers.DiffFeatherstoneSolver(model, contact=None, contact_gradient="code")
     with pytest.raises(ValueError, match="contacts: expected none"):
         refusing.step(state, after, None, contacts, DT)
     with pytest.raises(ValueError, match="contacts: expected none"):
         refusing.rollout(Trajectory(model, 2), None, contacts, DT)
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, contact_gradient="code")
     model.joint_X_p.requires_grad = True
     with nova.Tape(), pytest.raises(NotImplementedError, match="model.joint_X_p: expected"):
         solver.step(state, after, None, contacts, DT)
@@ -583,7 +591,7 @@ def test_redundant_contacts_are_no_surrogate(spin: float) -> None:
     builder.joint_qd[0:6] = [1.0, 0.3, -0.2, 0.0, 0.0, spin]
     model = builder.finalize()
     solver = novaphy.solvers.DiffFeatherstoneSolver(
-        model, pgs_slop=0.0, pgs_iterations=5000, pgs_tolerance=1e-9
+        model, pgs_slop=0.0, pgs_iterations=5000, pgs_tolerance=1e-9, contact_gradient="code"
     )
     state = model.state()
     novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)

@@ -373,7 +373,9 @@ def test_gradients_of_a_step_that_did_not_converge_raise_unless_allowed(allowed:
     from novaphy import diff, nova
 
     model = jammed_rod().finalize()
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model, allow_unconverged=allowed)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(
+        model, allow_unconverged=allowed, contact_gradient="code"
+    )
     pipeline = novaphy.CollisionPipeline(model)
     path = diff.Trajectory(model, 3)
     start = diff.state_joint_qd_tensor(path[0])
@@ -407,7 +409,9 @@ def test_gradients_of_shifts_are_those_of_differences(depth: float) -> None:
     box = builder.add_body(xform=((0.0, 0.0, 0.1), turn))
     builder.add_shape_box(box, hx=0.1, hy=0.15, hz=0.08, cfg=surface)
     model = builder.finalize(requires_grad=True)
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_slop=0.0, pgs_tolerance=1e-8)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(
+        model, pgs_slop=0.0, pgs_tolerance=1e-8, contact_gradient="code"
+    )
     pipeline = novaphy.CollisionPipeline(model)
     contacts = pipeline.contacts()
     rng = np.random.default_rng(3)
@@ -489,7 +493,9 @@ def test_gradients_of_shifts_at_limits_are_those_of_differences(lower: float) ->
 
     model = low_arm(lower).finalize(requires_grad=True)
     model.joint_limit_lower.requires_grad = True
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_slop=0.0, pgs_tolerance=1e-8)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(
+        model, pgs_slop=0.0, pgs_tolerance=1e-8, contact_gradient="code"
+    )
     pipeline = novaphy.CollisionPipeline(model)
     contacts = pipeline.contacts()
     weight = np.float32([1.0, -0.7])
@@ -527,7 +533,9 @@ def test_shifts_do_not_change_when_all_masses_grow_alike() -> None:
     from novaphy import diff, nova
 
     model = low_arm(-3.0).finalize(requires_grad=True)
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_slop=0.0, pgs_tolerance=1e-8)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(
+        model, pgs_slop=0.0, pgs_tolerance=1e-8, contact_gradient="code"
+    )
     pipeline = novaphy.CollisionPipeline(model)
     contacts = pipeline.contacts()
     state, after = model.state(), model.state()

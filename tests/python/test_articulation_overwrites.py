@@ -41,7 +41,7 @@ def start(model: novaphy.Model) -> novaphy.SimState:
 def test_a_tape_notices_that_a_step_has_overwritten_a_state(friction, touching):
     model = ball_with_an_arm(friction)
     solver, pipeline = (
-        novaphy.solvers.DiffFeatherstoneSolver(model),
+        novaphy.solvers.DiffFeatherstoneSolver(model, contact_gradient="code"),
         novaphy.CollisionPipeline(model),
     )
     before, after = start(model), model.state()
@@ -59,7 +59,7 @@ def test_a_tape_notices_that_a_step_has_overwritten_a_state(friction, touching):
 def test_contacts_of_a_state_that_moved_are_frozen():
     model = ball_with_an_arm()
     solver, pipeline = (
-        novaphy.solvers.DiffFeatherstoneSolver(model),
+        novaphy.solvers.DiffFeatherstoneSolver(model, contact_gradient="code"),
         novaphy.CollisionPipeline(model),
     )
     state, contacts = start(model), pipeline.contacts()
@@ -88,7 +88,7 @@ def test_contacts_of_a_state_that_moved_are_frozen():
 def test_a_replay_that_fails_gives_nan_and_the_next_call_says_why(kind):
     model = ball_with_an_arm(0.1 if kind == "friction" else 0.0)
     solver, pipeline = (
-        novaphy.solvers.DiffFeatherstoneSolver(model),
+        novaphy.solvers.DiffFeatherstoneSolver(model, contact_gradient="code"),
         novaphy.CollisionPipeline(model),
     )
     trajectory = diff.Trajectory(model, 3)
@@ -116,7 +116,7 @@ def test_a_replay_that_fails_gives_nan_and_the_next_call_says_why(kind):
 def test_numbers_that_were_edited_are_named_by_steps_and_by_replays(name, value):
     model = ball_with_an_arm()
     solver, pipeline = (
-        novaphy.solvers.DiffFeatherstoneSolver(model),
+        novaphy.solvers.DiffFeatherstoneSolver(model, contact_gradient="code"),
         novaphy.CollisionPipeline(model),
     )
     trajectory, array = diff.Trajectory(model, 2), getattr(model, name)

@@ -63,7 +63,9 @@ def compare(model, names: list[str], options: dict) -> dict:
     from novaphy import nova
     from novaphy.diff import state_joint_q_tensor, state_joint_qd_tensor
 
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_iterations=5000, **options)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(
+        model, pgs_iterations=5000, **options, contact_gradient="code"
+    )
     state, after = model.state(requires_grad=True), model.state()
     novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
     contacts = None
@@ -142,7 +144,7 @@ def test_the_label_falls_by_restitution_where_the_law_jumps() -> None:
     labels = []
     for asked in (False, True):
         model.shape_material_restitution.requires_grad = asked
-        solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+        solver = novaphy.solvers.DiffFeatherstoneSolver(model, contact_gradient="code")
         with nova.Tape():
             solver.step(state, model.state(), None, contacts, DT)
         labels.append(solver.gradient_info()["label"])
@@ -197,7 +199,9 @@ def test_by_dry_friction_beside_contacts(hip: float) -> None:
 def test_states_pass_their_gradient_through_dry_friction(friction: float, child: float) -> None:
     model = arm(friction, child).finalize()
     found = compare(model, [], {})
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_iterations=5000)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(
+        model, pgs_iterations=5000, contact_gradient="code"
+    )
     rng = np.random.default_rng(5)
     weights = [rng.normal(size=n) for n in (model.joint_coord_count, model.joint_dof_count)]
     for name, eps in (("joint_q", 2e-3), ("joint_qd", 1e-3)):
@@ -224,7 +228,7 @@ def test_gravity_of_worlds_in_a_rollout_is_the_loop_of_steps() -> None:
     builder.replicate(arm(), 9)
     model = builder.finalize()
     model.gravity.requires_grad = True
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, contact_gradient="code")
     steps = 11
     weight = nova.tensor(
         np.random.default_rng(1).normal(size=model.joint_coord_count).astype(np.float32)

@@ -51,7 +51,9 @@ def test_a_tangent_is_the_gradient_along_it(case: str) -> None:
 
     build, options, _ = {**CASES, **MORE_CASES}[case]
     model = build().finalize()
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_iterations=5000, **options)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(
+        model, pgs_iterations=5000, **options, contact_gradient="code"
+    )
     state, after = model.state(requires_grad=True), model.state()
     novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
     contacts = None

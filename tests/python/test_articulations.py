@@ -45,7 +45,9 @@ def tip_loss(model: novaphy.Model, damping: float, checkpoint: int | None = None
     from novaphy import nova
     from novaphy.diff import Trajectory, planar_2r_tip_loss, state_joint_q_tensor
 
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model, angular_damping=damping)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(
+        model, angular_damping=damping, contact_gradient="code"
+    )
     trajectory = Trajectory(model, STEPS, checkpoint=checkpoint)
     with nova.Tape() as tape:
         solver.rollout(trajectory, None, None, DT)
@@ -89,7 +91,7 @@ def test_losses_of_any_state_pull_through_the_steps_of_one_operation() -> None:
     def run(checkpoint: int | None) -> tuple[np.ndarray, ...]:
         model = arm(damping=0.3, target_ke=4.0, target_kd=0.2).finalize(requires_grad=True)
         damping = model_joint_damping_tensor(model, requires_grad=True)
-        solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+        solver = novaphy.solvers.DiffFeatherstoneSolver(model, contact_gradient="code")
         trajectory = Trajectory(model, 27, checkpoint=checkpoint)
         with nova.Tape() as tape:
             solver.rollout(trajectory, None, None, 0.01)
@@ -123,7 +125,7 @@ def test_step_by_step_is_the_rollout() -> None:
     model = arm().finalize(requires_grad=True)
     forward = novaphy.solvers.SolverFeatherstone(model)
     a, b = model.state(), model.state()
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, contact_gradient="code")
     trajectory = Trajectory(model, 50)
     solver.rollout(trajectory, None, None, DT)
     states = [model.state() for _ in range(51)]
@@ -466,7 +468,7 @@ def walk(model: novaphy.Model, steps: int = 20) -> tuple:
     """Roll out; a weighted sum of the last poses, velocities and coordinates, {1}."""
     from novaphy import diff, nova
 
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, contact_gradient="code")
     trajectory = diff.Trajectory(model, steps)
     solver.rollout(trajectory, model.control(), None, 0.01)
     end = trajectory[steps]
@@ -539,7 +541,7 @@ def test_gradients_of_worlds_in_lanes_are_those_of_the_worlds_alone() -> None:
         model = builder.finalize(requires_grad=True)
         for name in arrays:
             getattr(model, name).requires_grad = True
-        solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+        solver = novaphy.solvers.DiffFeatherstoneSolver(model, contact_gradient="code")
         trajectory = diff.Trajectory(model, steps)
         now = trajectory[0]
         now.joint_qd.assign(start[first : first + count].ravel().astype(np.float32))
@@ -615,7 +617,7 @@ def test_body_forces_of_a_rollout_act_and_have_a_gradient(per_step: bool) -> Non
     shape = (steps, 2, 6) if per_step else (2, 6)
     given = rng.normal(size=shape).astype(np.float32)
     forces = nova.tensor(given, requires_grad=True)
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, contact_gradient="code")
     trajectory = Trajectory(model, steps)
 
     def end(values: object) -> np.ndarray:
@@ -647,7 +649,7 @@ def test_a_pipeline_is_refused_without_a_way_of_contact() -> None:
     builder.add_shape_sphere(1, radius=0.1)
     builder.add_ground_plane()
     model = builder.finalize()
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model, contact=None)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, contact=None, contact_gradient="code")
     with pytest.raises(ValueError, match="contacts: expected none"):
         pipeline = novaphy.CollisionPipeline(model)
         solver.rollout(Trajectory(model, 1), None, None, DT, pipeline=pipeline)

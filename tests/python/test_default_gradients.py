@@ -76,7 +76,6 @@ def run(
 
 def tree(model: novaphy.Model, **options: object) -> novaphy.solvers.SolverBase:
     overlaps = {} if "compliant_contacts" in options else {"pgs_slop": 0.0, "pgs_erp": 1.0}
-    options = {"contact_gradient": "auto", **options}
     return novaphy.solvers.DiffFeatherstoneSolver(model, **overlaps, **options)
 
 
@@ -184,3 +183,30 @@ def test_a_captured_backward_of_steps_outside_has_the_derivative_of_the_code(kin
         np.testing.assert_allclose(mine, theirs, rtol=1e-5, atol=1e-6)
     with pytest.raises(NotImplementedError, match='"motion" is not supported by a backward or jvp'):
         found("motion")
+
+
+def test_articulations_without_contacts_have_the_derivative_of_the_code() -> None:
+    """The limit of a pendulum begins to push. Its time moves in the gradient of the motion only."""
+    from novaphy import diff, nova
+
+    builder = novaphy.ModelBuilder()
+    link = builder.add_link(mass=1.0, inertia=np.eye(3) * 0.1, com=(0.3, 0.0, 0.0))
+    hinge = builder.add_joint_revolute(
+        -1, link, axis=(0, 1, 0), limit_upper=0.1, limit_ke=1e3, limit_kd=10.0
+    )
+    builder.add_articulation([hinge])
+    model = builder.finalize(requires_grad=True)
+
+    def found(**mode: str) -> tuple[np.ndarray, str]:
+        solver, path = tree(model, **mode), diff.Trajectory(model, 100)
+        start = diff.state_joint_q_tensor(path[0], requires_grad=True)
+        with nova.Tape() as tape:
+            solver.rollout(path, None, None, 2e-3)
+            tape.backward(diff.state_joint_q_tensor(path[100])[0])
+        return start.grad.numpy(), solver.gradient_info().label
+
+    (default, label), (code, _), (motion, _) = (
+        found(**mode) for mode in ({}, {"contact_gradient": "code"}, {"contact_gradient": "motion"})
+    )
+    assert np.array_equal(default, code) and not np.allclose(motion, code, rtol=0.01)
+    assert label == "exact of the code"

@@ -166,7 +166,7 @@ STATIC = {"enable_static_contacts": True}
 
 def featherstone(model):
     return novaphy.solvers.DiffFeatherstoneSolver(
-        model, pgs_slop=0.0, pgs_erp=1.0, pgs_iterations=3000
+        model, pgs_slop=0.0, pgs_erp=1.0, pgs_iterations=3000, contact_gradient="code"
     )
 
 

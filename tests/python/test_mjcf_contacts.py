@@ -213,7 +213,9 @@ def test_gradients_go_to_the_shape_that_counts(name):
     builder.joint_qd[0:3] = [2.0, 0.5, -0.3]
     model = builder.finalize()
     array = getattr(model, f"shape_material_{which}")
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_iterations=500, **options)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(
+        model, pgs_iterations=500, **options, contact_gradient="code"
+    )
     state, pipeline = model.state(), novaphy.CollisionPipeline(model)
     novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
     contacts = pipeline.contacts()
@@ -259,7 +261,7 @@ def test_a_tape_notices_that_the_mixing_was_written():
     builder = novaphy.ModelBuilder()
     builder.add_mjcf(scene("", BALL, 0.0995))
     model = builder.finalize(requires_grad=True)
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, contact_gradient="code")
     state, after, pipeline = model.state(), model.state(), novaphy.CollisionPipeline(model)
     novaphy.eval_fk(model, state.joint_q, state.joint_qd, state)
     contacts = pipeline.contacts()

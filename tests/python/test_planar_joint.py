@@ -168,7 +168,7 @@ def test_gradients_are_central_differences_and_transposes_of_tangents() -> None:
     numbers = {"target_ke": 30.0, "target_kd": 2.0, "limit_lower": -0.25, "damping": 0.1}
     model = three_joints(**numbers).finalize(requires_grad=True)
     damping = model_joint_damping_tensor(model, requires_grad=True)
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, contact_gradient="code")
     weights = np.random.default_rng(3).normal(size=(7 + 7 + 21)).astype(np.float32)
     steps = 12
 

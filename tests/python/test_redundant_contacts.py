@@ -55,7 +55,7 @@ class Boxes:
         from novaphy import diff, nova
 
         solver = novaphy.solvers.DiffFeatherstoneSolver(
-            self.model, pgs_slop=slop, pgs_erp=1.0 if slop == 0.0 else 0.2
+            self.model, pgs_slop=slop, pgs_erp=1.0 if slop == 0.0 else 0.2, contact_gradient="code"
         )
         path = diff.Trajectory(self.model, 1)
         path[0].joint_qd.assign(self.qd.astype(np.float32))

@@ -290,7 +290,7 @@ def test_contacts_of_particles_with_bodies_are_held_as_they_were_found(shape, ag
 @pytest.mark.parametrize("way", ["steps", "rollout", "checkpoints"])
 def test_articulations_hold_contacts_that_are_given_once(way):
     model = walker().finalize(requires_grad=True)
-    solver = solvers.DiffFeatherstoneSolver(model, pgs_iterations=2000)
+    solver = solvers.DiffFeatherstoneSolver(model, pgs_iterations=2000, contact_gradient="code")
     pipeline = novaphy.CollisionPipeline(model)
     contacts, dt = pipeline.contacts(), 2e-3
 

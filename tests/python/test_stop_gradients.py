@@ -190,7 +190,8 @@ CUTS = {
 @pytest.mark.parametrize("cut", CUTS)
 def test_a_stop_obeys_the_other_bounds_of_its_rate(cut: str) -> None:
     limits, (q, v), by = CUTS[cut]
-    rows = {"joint_limits": "row", "joint_limit_restitution": 0.8, "weights": (0.6, 0.2)}
+    rows = {"joint_limits": "row", "joint_limit_restitution": 0.8, "contact_gradient": "code"}
+    rows["weights"] = (0.6, 0.2)
     run = Run(slide(**limits), (q, v), 1, **rows)
     wanted = {"other limit": -5.0, "velocity": -2.0, "return": -0.04}[cut]
     assert abs(run.end[1] - wanted) < 1e-5 * abs(wanted)
@@ -304,6 +305,7 @@ def test_a_stop_beside_contacts_has_the_derivative_of_the_code(restitution: floa
         joint_limit_restitution=restitution,
         pgs_slop=0.0,
         pgs_erp=1.0,
+        contact_gradient="code",
     )
     rng = np.random.default_rng(3)
     q0, qd0 = model.joint_q.numpy(), model.joint_qd.numpy()
@@ -346,7 +348,7 @@ def test_a_capture_of_stops_and_contacts_has_the_gradient_of_steps() -> None:
 
     model, steps = stop_and_ball(), 12
     solver = novaphy.solvers.DiffFeatherstoneSolver(
-        model, joint_limits="row", pgs_slop=0.0, pgs_erp=1.0
+        model, joint_limits="row", pgs_slop=0.0, pgs_erp=1.0, contact_gradient="code"
     )
     model.joint_limit_lower.requires_grad = True
     path, pipeline = diff.Trajectory(model, steps), novaphy.CollisionPipeline(model)

@@ -170,6 +170,7 @@ class Step:
         self.model = model
         self.solver = novaphy.solvers.DiffFeatherstoneSolver(
             model,
+            contact_gradient="code",
             angular_damping=0.0,
             pgs_iterations=4000,
             pgs_tolerance=1e-9,

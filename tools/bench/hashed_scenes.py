@@ -265,7 +265,8 @@ def fr3_gradient(device: str) -> Hashed:
     import novaphy
 
     model = novaphy_articulation.arm().finalize(device, requires_grad=True)
-    return gradients(model, novaphy.solvers.DiffFeatherstoneSolver(model), 20, 1e-3)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(model, contact_gradient="code")
+    return gradients(model, solver, 20, 1e-3)
 
 
 @scene("chain of 30", on_devices=True)
@@ -316,7 +317,9 @@ def ant_gradient(device: str) -> Hashed:
     import novaphy
 
     model, pipeline, control = landed_ants(device, 2, True)
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_slop=0.0, pgs_erp=1.0)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(
+        model, pgs_slop=0.0, pgs_erp=1.0, contact_gradient="code"
+    )
     return gradients(model, solver, 20, 1e-3, pipeline, control)
 
 
@@ -326,7 +329,9 @@ def ant_few(device: str) -> Hashed:
     import novaphy
 
     model, pipeline, control = landed_ants(device, 1, True)
-    solver = novaphy.solvers.DiffFeatherstoneSolver(model, pgs_slop=0.0, pgs_erp=1.0)
+    solver = novaphy.solvers.DiffFeatherstoneSolver(
+        model, pgs_slop=0.0, pgs_erp=1.0, contact_gradient="code"
+    )
     return gradients(model, solver, 3, 1e-3, pipeline, control)
 
 

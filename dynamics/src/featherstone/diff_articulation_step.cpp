@@ -225,12 +225,11 @@ ArticulationStep::ArticulationStep(const Model& model, const FeatherstoneOptions
   shared_ = std::make_shared<Shared>(model, converged, user);
   shared_->allow_unconverged = allow_unconverged;
   shared_->contact_gradient = contact_gradient;
-  if (contact_gradient == DerivativeOf::Motion) {
+  if (contact_gradient == DerivativeOf::Motion)
     require_cpu(model.device(), user, ": contact_gradient \"motion\"");
-    require(!options.compliant_contacts, ErrorKind::NotImplemented, user,
-            ": contact_gradient: \"motion\" is not supported with compliant_contacts; use "
-            "\"code\"");
-  }
+  require(contact_gradient != DerivativeOf::Motion || !options.compliant_contacts,
+          ErrorKind::NotImplemented, user,
+          ": contact_gradient: \"motion\" is not supported with compliant_contacts; use \"code\"");
   shared_->without_motion = !shared_->trees              ? "on a device"
                             : options.compliant_contacts ? "with compliant_contacts"
                                                          : nullptr;
@@ -286,12 +285,14 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   CountsOfStep counts(shared_);
   const int64_t number = shared_->next_step++;
   const bool may_move = shared_->moves() && nova::Tape::active() != nullptr;
-  const bool moves = may_move && !nova::current_capture();
-  require(moves || !may_move || shared_->contact_gradient == DerivativeOf::Auto,
-          ErrorKind::NotImplemented, kName,
-          ": contact_gradient: \"motion\" is not supported inside a ScopedCapture; use \"code\"");
-  if (may_move && !moves) counts.hold("inside a ScopedCapture");
   const bool touching = contacts != nullptr && contacts->rigid_contact_max() > 0;
+  const bool captures = nova::current_capture() != nullptr;
+  const char* held = captures ? "inside a ScopedCapture" : touching ? nullptr : "without contacts";
+  const bool is_auto = shared_->contact_gradient == DerivativeOf::Auto;
+  require(!may_move || is_auto || !captures, ErrorKind::NotImplemented, kName,
+          ": contact_gradient: \"motion\" is not supported inside a ScopedCapture; use \"code\"");
+  const bool moves = may_move && !(is_auto && held != nullptr);
+  if (may_move && !moves) counts.hold(held);
   const bool is_actuated = shared_->actuators->acts();
   join = join && !moves && !is_actuated;
   if (join && pending_ && joins(m, in, out, control, body_f, dt, scratch)) return;

@@ -247,7 +247,7 @@ class ExactFrames:
         # sticking. Such a step must not stop the training. `label` reports how many steps are
         # exact.
         self.solver = novaphy.solvers.DiffFeatherstoneSolver(
-            ants.model, **ants.solver_options, allow_unconverged=True
+            ants.model, **ants.solver_options, allow_unconverged=True, contact_gradient="code"
         )
         self.lead = None  # as in FrozenFrames, but called once per frame, for its middle substep
 

@@ -23,7 +23,7 @@ class NOVAPHY_DIFF_API DiffFeatherstoneSolver : public DiffSolverBase {
   explicit DiffFeatherstoneSolver(std::shared_ptr<const Model> model,
                                   const FeatherstoneOptions& options = {},
                                   bool allow_unconverged = false,
-                                  DerivativeOf contact_gradient = DerivativeOf::Code);
+                                  DerivativeOf contact_gradient = DerivativeOf::Auto);
 
   const FeatherstoneOptions& options() const { return options_; }
   // Describes the gradients of all steps since the last clear, with their contacts and dry

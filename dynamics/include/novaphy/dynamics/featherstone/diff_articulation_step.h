@@ -67,11 +67,11 @@ class NOVAPHY_DYNAMICS_API ArticulationStep {
   // Errors as for SolverFeatherstone. ErrorKind::Value: a model whose joints have no dofs.
   // `allow_unconverged`: adjoints and tangents of steps that are far from convergence do not throw.
   // ErrorKind::NotImplemented: DerivativeOf::Motion with a model on a device or with
-  // compliant_contacts. With DerivativeOf::Auto these steps, and steps in captures, have the
-  // derivative of the code.
+  // compliant_contacts. With DerivativeOf::Auto these steps, steps in captures, and steps without
+  // contacts have the derivative of the code.
   ArticulationStep(const Model& model, const FeatherstoneOptions& options, const char* user,
                    bool allow_unconverged = false,
-                   DerivativeOf contact_gradient = DerivativeOf::Code);
+                   DerivativeOf contact_gradient = DerivativeOf::Auto);
   ~ArticulationStep();
   ArticulationStep(ArticulationStep&&) noexcept;
   ArticulationStep& operator=(ArticulationStep&&) noexcept;

@@ -1,5 +1,6 @@
 // Events of joint limits as springs: a limit begins or ends to push (diff_articulation_motion.h).
 #include <algorithm>
+#include <ranges>
 
 #include "diff_articulation_motion.h"
 #include "diff_articulation_parts.h"
@@ -124,17 +125,23 @@ void note_limits(const Step& s, const MotionNotes* last) {
   const float* const branch = numbers(s.outputs[5].tensor);
   notes.branch.assign(branch, branch + s.outputs[5].tensor.size());
   if (last == nullptr) return;
-  const auto acts = [](float number) {
-    const auto bits = static_cast<int32_t>(number);
-    return (bits & art::kOutside) != 0 && (bits & art::kLimitReleased) == 0;
+  const auto is_outside = [](float number) {
+    return (static_cast<int32_t>(number) & art::kOutside) != 0;
+  };
+  const auto acts = [&](float number) {
+    return is_outside(number) && (static_cast<int32_t>(number) & art::kLimitReleased) == 0;
   };
   const std::vector<char>& touched = notes.found.touched;
   for (int32_t t = 0; t < static_cast<int32_t>(s.count); ++t) {
     const bool touches = !touched.empty() && touched[static_cast<size_t>(t)] != 0;
     const ArticulationRows& of = rows_of_step(s)[t];
+    const size_t first = notes.limits.size();
     for (int32_t k = of.first_dof; k < of.first_dof + of.dof_count; ++k) {
-      const bool acted = acts(last->branch[static_cast<size_t>(k)]);
+      const float before = last->branch[static_cast<size_t>(k)];
+      const bool acted = acts(before);
       if (acted == acts(notes.branch[static_cast<size_t>(k)])) continue;
+      // The force of a limit that pushes again grows from 0, so this change needs no term.
+      if (!acted && is_outside(before)) continue;
       const size_t known = notes.limits.size();
       // The limit of a BALL's angle, and limits in a tree with contacts, have no event whose time
       // moves.
@@ -144,12 +151,13 @@ void note_limits(const Step& s, const MotionNotes* last) {
         add_limit_event(s, t, k, acted);
       if (!acted && notes.limits.size() > known) tell_limit(s, t, k);
     }
+    if (notes.limits.size() > first + 1) ++s.shared->motion.several;
   }
 }
 
 void limits_vjp(const Step& s, const ArticulationArguments& in, float* y_q, float* y_qd,
                 std::span<const nova::InputGradient> gradients) {
-  for (const LimitEvent& event : s.motion->limits) {
+  for (const LimitEvent& event : std::views::reverse(s.motion->limits)) {
     const art::Tree<float> tree = articulation_tree(in, rows_of_step(s)[event.tree]);
     const auto first = coordinates_of(s, event.tree).first;
     double by = 0.0;

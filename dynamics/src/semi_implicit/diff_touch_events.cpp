@@ -316,7 +316,7 @@ void record_touches(const std::shared_ptr<const TouchWork>& work, bool at_start,
   op.jvp = [=](std::span<const nova::Tensor> in, std::span<const nova::Tensor> out) {
     if (holds_times(*work)) {
       for (size_t i = 0; i < inputs.size(); ++i)
-        if (const nova::InputGradient to{out[i], false}; to.wanted()) to.put(in[i]);
+        if (const nova::InputGradient held{out[i], false}; held.wanted()) held.put(in[i]);
       return;
     }
     std::vector<nova::Tensor> x;

@@ -13,7 +13,7 @@ label: the worst of the labels of all steps, from best to worst:
   "implicit": the derivative of the solutions of the steps (DiffSolverVBD).
 
   "frozen": the derivative keeps points or normals of pushing contacts constant.
-  "surrogate": the contact solver missed the contact law by more than 1e-3 of the largest impulse,
+  "surrogate": the contact solver missed the contact law by more than 1e-4 of the largest impulse,
 or
   a contact law has a jump. Or the times of events move, but the gradient may differ from that of
   the motion.

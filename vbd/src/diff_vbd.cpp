@@ -130,11 +130,13 @@ void DiffSolverVBD::keep_velocity(const SimState& in, StepInputs::Checkpoints* c
 
 namespace {
 
+constexpr float kUnsolvedResidual = 1e-3f;  // of a step, or of the linear system of its gradient
+
 GradientInfo info_of(GradientCounts counts, const VbdGradientInfo& of, bool implicit) {
   if (implicit) {
     counts.residual = static_cast<float>(std::max(of.primal.relative, of.linear_residual));
     // `of` describes only the last step, so only the last step can be counted as not solved.
-    if (counts.steps > 0 && counts.surrogate == 0 && !(counts.residual <= kSurrogateResidual)) {
+    if (counts.steps > 0 && counts.surrogate == 0 && !(counts.residual <= kUnsolvedResidual)) {
       --(counts.exact > 0 ? counts.exact : counts.frozen);
       ++counts.surrogate;
       counts.surrogate_step = counts.steps - 1;

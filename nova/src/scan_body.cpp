@@ -77,6 +77,7 @@ void Tape::ScanBody::record(const ScanFn& body) {
   if (tape_) {
     scope.emplace(*tape_);
     tape_->begin_recomputed();
+    tape_->impl_->records_body = true;
   }
   ScanResult result = body(carry_, x_);
   check_carry(result);
@@ -84,7 +85,10 @@ void Tape::ScanBody::record(const ScanFn& body) {
   next_ = std::move(result.carry);
   own(result.ys);
   y_ = std::move(result.ys);
-  if (tape_) tape_->end_recomputed();
+  if (tape_) {
+    tape_->end_recomputed();
+    tape_->impl_->records_body = false;
+  }
 }
 
 void Tape::ScanBody::check_carry(const ScanResult& result) const {
@@ -200,6 +204,14 @@ void Tape::ScanBody::load(int64_t step) const {
   }
 }
 
+// Clears the gradients that a tape of the body gives to its arguments, which are new in each step.
+void Tape::ScanBody::clear_gradients() const {
+  if (tape_) return;
+  for (const auto* arguments : {&carry_, &x_})
+    for (const Tensor& t : *arguments)
+      if (t.requires_grad()) t.zero_grad();
+}
+
 void Tape::ScanBody::forward() {
   hold_in_capture(shared_from_this());
   const auto before = [&](size_t k, int64_t step, const Tensor& from) {
@@ -211,6 +223,7 @@ void Tape::ScanBody::forward() {
   for (int64_t step = 0; step < steps_; ++step) {
     if (step % kStepsPerInterruptCheck == 0) novaphy::check_interrupt();
     load(step);
+    clear_gradients();
     list_->submit();
     for (size_t k = 0; k < carry_.size(); ++k) before(k, step + 1, next_[k]);
     for (size_t k = 0; k < y_.size(); ++k) detail::copy_row(y_[k], ys_[k], step, y_[k], 0);

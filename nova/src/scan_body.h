@@ -41,6 +41,7 @@ class Tape::ScanBody : public std::enable_shared_from_this<Tape::ScanBody> {
   CustomOp custom_op();
 
   void forward();
+  void clear_gradients() const;
   void load(int64_t step) const;  // writes the arguments of a step
 
   // These functions are in scan_derivatives.cpp.

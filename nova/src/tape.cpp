@@ -101,8 +101,7 @@ void Tape::Impl::check_not_of_another(const Range& range, const std::string& op,
          "here. Record both on one tape, take detach(), or reset() the other tape");
 }
 
-// Checks that an input is not a value of the tape that code outside of the tape overwrote. The
-// gradient of such an input would be wrong.
+// Checks that no code outside of the tape overwrote an input, whose gradient would be wrong.
 void Tape::Impl::check_not_overwritten(const Operand& in, const std::string& op,
                                        const std::string& input) {
   if (in.type == ir::Type::F32) {
@@ -377,6 +376,7 @@ Tape::StepScope::~StepScope() {
 
 void Tape::backward(const Tensor& loss, const Tensor& seed) {
   require(loss.defined(), ErrorKind::Value, "backward, loss: the tensor is undefined");
+  impl_->check_no_body("Tape.backward");
   const novaphy::ExclusiveUse::Scope use(impl_->in_use, "backward", "the tape");
   Impl::Node* n = impl_->find(*loss.range());
   require(

@@ -10,7 +10,10 @@ namespace nova {
 
 using novaphy::Storage;
 
-void Tape::reset() { impl_->forget(); }
+void Tape::reset() {
+  impl_->check_no_body("Tape.reset");
+  impl_->forget();
+}
 size_t Tape::size() const { return impl_->ops.size(); }
 std::vector<std::string> Tape::op_names() const {
   std::vector<std::string> names;

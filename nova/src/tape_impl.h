@@ -49,8 +49,8 @@ struct Tape::Impl {
     int32_t group = -1;               // group of recomputed operations; -1: none
     uint64_t capture = capture_id();  // id of the capture that records it, or 0
     int32_t step = -1;                // step of the rollout; -1: none
-    bool replayed = false;    // in a group: another operation of the group reads its output
-    bool constant = false;    // in a group: no gradient flows through it
+    bool replayed = false;            // in a group: another operation of the group reads its output
+    bool constant = false;            // in a group: no gradient flows through it
     bool has_active = false;  // the use of `active` follows those of the outputs, see active_use
     Incidence csr;            // the uses of its arrays follow those of the outputs, see csr_use
   };
@@ -166,8 +166,8 @@ struct Tape::Impl {
   std::vector<Group> groups;
   bool in_group = false;  // whether the last group is still open
   std::vector<std::shared_ptr<const Witness>> witnesses;
-  int64_t passes = 0;  // calls of backward
-  int32_t of_step = -1;   // see Tape::StepScope
+  int64_t passes = 0;    // calls of backward
+  int32_t of_step = -1;  // see Tape::StepScope
   novaphy::ExclusiveUses group_memory;
   NodeTable nodes;
   // Checksums of values with a writable export: `values` for versions recorded since the last
@@ -182,7 +182,12 @@ struct Tape::Impl {
     bool held = false;              // whether the memory holds a gradient before the pass
     bool reached = false;           // whether the pass contributes to it
   };
-  Tape* outer = nullptr;  // the tape on which the scan is recorded; null: not a body
+  Tape* outer = nullptr;      // the tape on which the scan is recorded; null: not a body
+  bool records_body = false;  // this is the tape of a body that is being recorded
+  void check_no_body(const char* call) const {
+    novaphy::require(!records_body, novaphy::ErrorKind::NotImplemented, call,
+                     ": not supported for the tape of the body of a scan");
+  }
   std::unordered_map<const Range*, LeafPlace> leaf_places;
   // Data of the last backward pass, kept to reuse its memory.
   std::vector<Step> steps;

@@ -216,3 +216,32 @@ def test_arguments_are_refused_by_name() -> None:
         nova.scan(body, {"h": 3}, length=2)
     with pytest.raises(TypeError, match="float"):
         nova.scan(body, c, length=2.5)
+
+
+def test_a_tape_in_the_body_gives_new_gradients_in_each_step():
+    def descend(c, _):
+        c.requires_grad = True
+        with nova.Tape() as tape:
+            tape.backward(nova.sum(c * c))
+        return (c - 0.1 * c.grad).detach(), None
+
+    c = nova.tensor([1.0])
+    last, _ = nova.scan(descend, c, length=3)
+    for _ in range(3):
+        c, _ = descend(c, None)
+    assert last.numpy() == pytest.approx(0.8**3, rel=1e-6)
+    np.testing.assert_array_equal(last.numpy(), c.numpy())
+
+
+@pytest.mark.parametrize("call", ["reset", "backward"])
+def test_the_tape_of_a_body_refuses_to_end(call):
+    x = nova.tensor([1.0], requires_grad=True)
+
+    def body(c, _):
+        y = c * 2.0
+        tape = nova.active_tape()
+        tape.reset() if call == "reset" else tape.backward(nova.sum(y))
+        return y, None
+
+    with nova.Tape(), pytest.raises(NotImplementedError, match=f"Tape.{call}: not supported for"):
+        nova.scan(body, x, length=3)

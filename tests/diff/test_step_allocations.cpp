@@ -120,22 +120,20 @@ TEST(StepAllocations, VbdTakesNone) {
 }
 
 TEST(StepAllocations, VbdOfParticlesOnBodiesTakesNone) {
-  for (const VbdOptions& options : {VbdOptions{}, VbdOptions{.coarse = true}}) {
-    ModelBuilder builder = trees(2);
-    builder.add_cloth_grid({.placement = {.pos = {-0.3f, -0.1f, 0.2f}},
-                            .dim_x = 6,
-                            .dim_y = 6,
-                            .cell_x = 0.05,
-                            .cell_y = 0.05,
-                            .mass = 2e-3f,
-                            .tri = {.ke = 1e3f, .ka = 1e3f},
-                            .particle_radius = 0.02f});
-    builder.color();
-    Scene scene(builder);
-    SolverVBD solver(scene.model, options);
-    EXPECT_GT(scene.contacts->soft_contact_count.to_host()[0], 0);
-    EXPECT_EQ(scene.of_steps(solver), 0);
-  }
+  ModelBuilder builder = trees(2);
+  builder.add_cloth_grid({.placement = {.pos = {-0.3f, -0.1f, 0.2f}},
+                          .dim_x = 6,
+                          .dim_y = 6,
+                          .cell_x = 0.05,
+                          .cell_y = 0.05,
+                          .mass = 2e-3f,
+                          .tri = {.ke = 1e3f, .ka = 1e3f},
+                          .particle_radius = 0.02f});
+  builder.color();
+  Scene scene(builder);
+  SolverVBD solver(scene.model);
+  EXPECT_GT(scene.contacts->soft_contact_count.to_host()[0], 0);
+  EXPECT_EQ(scene.of_steps(solver), 0);
 }
 
 // A step that a tape may record takes memory still: for the handles of the tensors and the lists of

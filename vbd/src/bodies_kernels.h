@@ -118,7 +118,7 @@ template <bool with_stiffness>
 void add_touches(BodyBlock& b, const VbdTouches& a, int32_t body, const VbdBodyMotion& motion) {
   for (int32_t k = a.begin[body]; k < a.begin[body + 1]; ++k) {
     const VbdTouch& t = a.touch[a.items[k]];
-    add_touch<with_stiffness>(b, t, motion, a.x[t.particle], a.start[t.particle],
+    add_touch<with_stiffness>(b, t, a.x[t.particle], a.start[t.particle],
                               touch_contact(a, t, motion));
   }
 }

@@ -10,6 +10,7 @@ namespace {
 
 // Number of contacts that a thread takes at a time.
 constexpr uint32_t kTouches = 64;
+constexpr int64_t kDampingNumber = 11;  // of a contact, see put_contact_numbers
 
 }  // namespace
 
@@ -48,6 +49,15 @@ void Bodies::put_touch(const Contacts& contacts, int32_t contact) {
   t.body = model_.shape_body.data()[contacts.soft_contact_shape.data()[slot]];
   t.particle = contacts.soft_contact_particle.data()[slot];
   if (t.body < 0) return near_world_.push_back(t.particle);
+  if (is_kinematic_.data()[t.body] == 0) {
+    require(!options_.coarse, ErrorKind::NotImplemented,
+            "SolverVBD.step: coarse: not supported with contacts of particles and dynamic bodies, "
+            "got a contact of particle ",
+            t.particle, " and body ", t.body, "; use coarse=None");
+    // A damper that jumps as the overlap begins would let a light body gain energy.
+    particles_.contact_numbers[static_cast<int64_t>(contact) * kContactFloats + kDampingNumber] =
+        0.0f;
+  }
   t.contact = contact;
   t.is_fixed = particles_.slots->is_kinematic(t.particle) ? 1.0f : 0.0f;
   const Transformf pose = start_.data()[t.body];

@@ -14,12 +14,13 @@ constexpr auto kWriteBlock =
 // Tells the bodies which particles they touch.
 void Step::couple(Bodies& bodies, const Contacts* contacts) {
   const size_t n = x_.rows();
-  StepParticles particles = {.slots = &slots_,
-                             .start = {start_.data(), n},
-                             .target = {target_.data(), n},
-                             .moved = {moved_.mutable_data(), n},
-                             .x = {x_.mutable_data(), n},
-                             .inside = damps_inside_ ? 1.0f : 0.0f};
+  StepParticles particles;
+  particles.slots = &slots_;
+  particles.start = {start_.data(), n};
+  particles.target = {target_.data(), n};
+  particles.moved = {moved_.mutable_data(), n};
+  particles.x = {x_.mutable_data(), n};
+  particles.inside = damps_inside_ ? 1.0f : 0.0f;
   if (has_contacts_) {
     if (blocks_.rows() == 0) blocks_ = DeviceArray<float>(9 * n, device());
     particles.contact_slots = {contact_items_.data(),

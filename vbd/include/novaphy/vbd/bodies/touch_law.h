@@ -77,8 +77,8 @@ inline Vec3f followed(const VbdTouch& t, const Vec3f& v) {
 // Adds the force of a contact to the block of its body. x, start: the particle, now and at the
 // start of the step (m).
 template <bool with_stiffness>
-void add_touch(BodyBlock& block, const VbdTouch& t, const VbdBodyMotion& motion, const Vec3f& x,
-               const Vec3f& start, const ParticleContact<float>& c) {
+void add_touch(BodyBlock& block, const VbdTouch& t, const Vec3f& x, const Vec3f& start,
+               const ParticleContact<float>& c) {
   const Vec3f at = (x + t.shift) + followed(t, c.travel - t.travel);
   const Block<float> of_particle = particle_contact_block(at, start, c);
   add_force(block, -of_particle.f, math::cross(t.arm, -of_particle.f));

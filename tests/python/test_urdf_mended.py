@@ -78,7 +78,7 @@ MENDED = {
                    "a shape before it"),
     "two geometries": (robot(link("a", f"<collision>{BOX * 2}</collision>")), "one before it"),
     "limit of a double": (robot(link("a"), link("b"), joint("j", "a", "b",
-                          '<limit lower="-1" upper="1" effort="1e308" velocity="inf"/>',
+                          '<limit lower="-1" upper="1" effort=" 1e308 " velocity="+inf"/>',
                           "revolute")), "effort: a number this large is no limit"),
     "no inertia": (robot(link("a", '<inertial><mass value="1"/></inertial>')), "entries of its"),
     "no mass": (robot(link("a", "<inertial><inertia/></inertial>")), "without a mass"),

@@ -44,6 +44,8 @@ std::vector<fs::path> listed(const char* variable) {
 
 // Returns whether a folder contains the package, according to its package.xml.
 bool is_package(const fs::path& folder, std::string_view name) {
+  std::error_code none;
+  if (!fs::is_regular_file(folder / "package.xml", none)) return false;
   std::ifstream file(folder / "package.xml");
   std::string text(size_t{64} << 10, '\0');
   file.read(text.data(), static_cast<std::streamsize>(text.size()));
@@ -72,7 +74,7 @@ fs::path crawl_ros_packages(std::string_view name) {
       std::error_code none;
       if (!at->is_directory(none)) continue;
       const fs::path& folder = at->path();
-      const bool is_any_package = fs::exists(folder / "package.xml", none);
+      const bool is_any_package = fs::is_regular_file(folder / "package.xml", none);
       if (is_any_package && is_package(folder, name)) found.push_back(folder);
       if (is_any_package || at.depth() >= kDeepestPackage ||
           folder.filename().string().starts_with('.'))

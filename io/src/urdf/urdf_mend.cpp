@@ -180,13 +180,17 @@ class Mender {
       drop(e, "a shape of size 0: it is left out");
   }
 
-  // Returns whether a text is an infinite number, or a number that float32 cannot hold.
-  static bool is_beyond_numbers(const char* text) {
-    if (text == nullptr) return false;
-    const std::string_view given = text;
+  // Returns whether a text is a number of the sign of `instead` that is infinite or that float32
+  // cannot hold.
+  static bool is_beyond_numbers(const char* text, std::string_view instead) {
+    std::string_view given = text == nullptr ? "" : text;
+    while (given.ends_with(' ')) given.remove_suffix(1);
+    while (given.starts_with(' ')) given.remove_prefix(1);
+    if (given.starts_with('+')) given.remove_prefix(1);
     long double value = 0.0L;
     const auto parsed = std::from_chars(given.data(), given.data() + given.size(), value);
-    return parsed.ptr == given.data() + given.size() && std::abs(value) > 1e30L;
+    return parsed.ptr == given.data() + given.size() && std::abs(value) > 1e30L &&
+           (value < 0.0L) == instead.starts_with('-');
   }
 
   void mend_joint(Element& e) {
@@ -225,7 +229,7 @@ class Mender {
       notes_.mended(*limit, "effort, velocity: what is missing has no limit");
     for (const auto& [attribute, instead] :
          {std::pair{"lower", open[0]}, {"upper", open[1]}, {"effort", "1e6"}, {"velocity", "1e6"}})
-      if (is_beyond_numbers(limit->Attribute(attribute))) {
+      if (is_beyond_numbers(limit->Attribute(attribute), instead)) {
         limit->SetAttribute(attribute, instead);
         notes_.mended(*limit, std::string(attribute) + ": a number this large is no limit");
       }

@@ -54,9 +54,11 @@ std::shared_ptr<DiffSemiImplicitSolver::Witness> DiffSemiImplicitSolver::witness
 }
 
 const char* DiffSemiImplicitSolver::without_motion() const {
+  const bool is_auto = config_.contact_gradient == DerivativeOf::Auto;
   return !is_on_host(*model())                        ? "on a device"
          : config_.enable_static_contacts             ? "with enable_static_contacts"
          : config_.penalty_law != PenaltyLaw::Sampled ? "with penalty_law \"mean\""
+         : is_auto && particles_.has_elements()       ? "with springs, cloth or soft bodies"
                                                       : nullptr;
 }
 

@@ -87,7 +87,8 @@ states of the simulation are the same.
 constants.
 "motion": the derivative also moves the times at which a contact begins and ends.
 NotImplementedError on a device, in a capture, with enable_static_contacts or penalty_law="mean".
-"auto": "motion" where it is supported, else "code". gradient_info gives the reason.)";
+"auto": "motion" where it is supported and the model has no springs, cloth or soft bodies, else
+"code". gradient_info gives the reason.)";
 
 inline constexpr char kDiffGradientInfo[] =
     R"(Returns the GradientInfo of the last consecutive steps on a tape: a rollout, a loop of steps,

@@ -185,17 +185,21 @@ def test_a_captured_backward_of_steps_outside_has_the_derivative_of_the_code(kin
         found("motion")
 
 
-def test_articulations_without_contacts_have_the_derivative_of_the_code() -> None:
-    """The limit of a pendulum begins to push. Its time moves in the gradient of the motion only."""
-    from novaphy import diff, nova
-
+def pendulum() -> novaphy.Model:
     builder = novaphy.ModelBuilder()
     link = builder.add_link(mass=1.0, inertia=np.eye(3) * 0.1, com=(0.3, 0.0, 0.0))
     hinge = builder.add_joint_revolute(
         -1, link, axis=(0, 1, 0), limit_upper=0.1, limit_ke=1e3, limit_kd=10.0
     )
     builder.add_articulation([hinge])
-    model = builder.finalize(requires_grad=True)
+    return builder.finalize(requires_grad=True)
+
+
+def test_articulations_without_contacts_have_the_derivative_of_the_code() -> None:
+    """The limit of a pendulum begins to push. Its time moves in the gradient of the motion only."""
+    from novaphy import diff, nova
+
+    model = pendulum()
 
     def found(**mode: str) -> tuple[np.ndarray, str]:
         solver, path = tree(model, **mode), diff.Trajectory(model, 100)
@@ -210,3 +214,28 @@ def test_articulations_without_contacts_have_the_derivative_of_the_code() -> Non
     )
     assert np.array_equal(default, code) and not np.allclose(motion, code, rtol=0.01)
     assert label == "exact of the code"
+
+
+def test_cloth_has_the_derivative_of_the_code() -> None:
+    from novaphy import diff, nova
+
+    builder = novaphy.ModelBuilder()
+    builder.add_cloth_grid(
+        pos=(0, 0, 0.102), dim_x=2, dim_y=2, cell_x=0.1, cell_y=0.1, mass=0.01,
+        particle_radius=0.1, tri_ke=100.0, tri_ka=100.0, tri_kd=0.1,
+    )  # fmt: skip
+    builder.add_ground_plane()
+    model = builder.finalize(requires_grad=True)
+
+    def found(**mode: str) -> tuple[np.ndarray, novaphy.solvers.GradientInfo]:
+        solver = springs(model, enable_triangles=True, enable_bending=True, **mode)
+        path = diff.Trajectory(model, 40)
+        start = diff.state_particle_q_tensor(path[0], requires_grad=True)
+        with nova.Tape() as tape:
+            solver.rollout(path, None, None, 1e-3, pipeline=novaphy.CollisionPipeline(model))
+            tape.backward(nova.sum(diff.state_particle_q_tensor(path[40])))
+        return start.grad.numpy(), solver.gradient_info()
+
+    (default, info), (code, _) = found(), found(contact_gradient="code")
+    assert np.array_equal(default, code) and info.events > 0
+    assert "constant in steps with springs, cloth or soft bodies" in info.reason

@@ -178,7 +178,7 @@ void note_motion(const std::shared_ptr<const Step>& step,
 
 bool holds_times(const Step& s) {
   if (nova::current_capture() == nullptr) return false;
-  require(s.shared->contact_gradient == DerivativeOf::Auto, ErrorKind::NotImplemented, kName,
+  require(s.shared->is_auto(), ErrorKind::NotImplemented, kName,
           ": contact_gradient: \"motion\" is not supported by a backward or jvp inside a "
           "ScopedCapture; use \"code\"");
   s.shared->motion.held = "inside a ScopedCapture";

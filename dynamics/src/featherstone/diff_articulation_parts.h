@@ -169,6 +169,7 @@ struct ArticulationStep::Shared {
   bool allow_unconverged = false;
   DerivativeOf contact_gradient = DerivativeOf::Auto;
   const char* without_motion = nullptr;  // MotionCounts::held of all steps
+  bool is_auto() const { return contact_gradient == DerivativeOf::Auto; }
   // Returns whether times of events move, outside of captures.
   bool moves() const {
     return contact_gradient != DerivativeOf::Code && without_motion == nullptr;

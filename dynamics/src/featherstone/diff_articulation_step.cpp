@@ -286,13 +286,11 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   const int64_t number = shared_->next_step++;
   const bool may_move = shared_->moves() && nova::Tape::active() != nullptr;
   const bool touching = contacts != nullptr && contacts->rigid_contact_max() > 0;
-  const bool captures = nova::current_capture() != nullptr;
-  const char* held = captures ? "inside a ScopedCapture" : touching ? nullptr : "without contacts";
-  const bool is_auto = shared_->contact_gradient == DerivativeOf::Auto;
+  const bool captures = nova::current_capture() != nullptr, is_auto = shared_->is_auto();
   require(!may_move || is_auto || !captures, ErrorKind::NotImplemented, kName,
           ": contact_gradient: \"motion\" is not supported inside a ScopedCapture; use \"code\"");
-  const bool moves = may_move && !(is_auto && held != nullptr);
-  if (may_move && !moves) counts.hold(held);
+  const bool moves = may_move && !captures && (touching || !is_auto);
+  if (may_move && !moves) counts.hold(captures ? "inside a ScopedCapture" : "without contacts");
   const bool is_actuated = shared_->actuators->acts();
   join = join && !moves && !is_actuated;
   if (join && pending_ && joins(m, in, out, control, body_f, dt, scratch)) return;
@@ -367,8 +365,7 @@ bool ArticulationStep::joins(const Model& m, const SimState& in, SimState& out,
 
 void ArticulationStep::flush() {
   if (!pending_) return;
-  const std::shared_ptr<const Step> step = std::move(pending_);
-  pending_ = nullptr;
+  const std::shared_ptr<const Step> step = std::exchange(pending_, nullptr);
   if (nova::Tape* tape = nova::Tape::active()) tape->record_custom(make_op(step));
 }
 void ArticulationStep::forget() { pending_ = nullptr; }

@@ -72,8 +72,7 @@ void tell_group(const Step& s, const ArticulationArguments& in, const ContactEve
                              });
     told.slopes.push_back(std::move(slope));
   }
-  if (group.dof >= 0)
-    told.slopes.push_back(limit_slope(s, group.dof, group.side, group.approach));
+  if (group.dof >= 0) told.slopes.push_back(limit_slope(s, group.dof, group.side, group.approach));
   s.motion->told.push_back(group.told);
 }
 

@@ -17,7 +17,7 @@
 //
 // The gradient is the implicit gradient of the converged impulses for the active rows
 // (articulation/contact_adjoint.h). The label is "exact of the code" if the residual of the rows is
-// at most 1e-3 of the largest impulse, else "surrogate". Where a contact is just breaking, sticking
+// at most 1e-4 of the largest impulse, else "surrogate". Where a contact is just breaking, sticking
 // or sliding, the gradient is one-sided. ContactBranches counts the branches, and the events of
 // contacts between steps (gradient_counts.h).
 //

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from vbd_steps import H, rotation, run
 
 import novaphy
 from novaphy.solvers import SolverVBD
 
 G = 9.81
-H = 1 / 120
 BOX = {"hx": 0.1, "hy": 0.1, "hz": 0.1}  # 8 kg at 1,000 kg/m^3
 
 
@@ -27,34 +27,6 @@ def add_box(builder: novaphy.ModelBuilder, pos: tuple, link: bool = False, **siz
     body = add(xform=(pos, (0, 0, 0, 1)))
     builder.add_shape_box(body, **{**BOX, **size})
     return body
-
-
-def run(
-    model: novaphy.Model,
-    steps: int,
-    dt: float = H,
-    see: Callable[[int, novaphy.State], None] | None = None,
-    control: novaphy.Control | None = None,
-    **options: Any,
-) -> novaphy.State:
-    """Return the state after the steps; contacts are found in each step."""
-    solver = SolverVBD(model, **options)
-    pipeline = novaphy.CollisionPipeline(model)
-    contacts = pipeline.contacts()
-    state, after = model.state(), model.state()
-    for k in range(steps):
-        pipeline.collide(state, contacts)
-        solver.step(state, after, control, contacts, dt)
-        state, after = after, state
-        if see is not None:
-            see(k, state)
-    return state
-
-
-def rotation(q: np.ndarray) -> np.ndarray:
-    x, y, z, w = (float(v) for v in q)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + 2 * w * cross + 2 * cross @ cross
 
 
 def momenta(model: novaphy.Model, state: novaphy.State) -> tuple[np.ndarray, np.ndarray, float]:

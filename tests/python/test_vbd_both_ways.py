@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from vbd_steps import rotation, run
 
 import novaphy
 from novaphy.solvers import SolverVBD
@@ -49,33 +49,6 @@ def finalize(builder: novaphy.ModelBuilder) -> novaphy.Model:
     return model
 
 
-def run(
-    model: novaphy.Model,
-    steps: int,
-    dt: float,
-    see: Callable[[novaphy.State], None] | None = None,
-    **options: Any,
-) -> novaphy.State:
-    """Return the state after the steps; contacts are found in each step."""
-    solver = SolverVBD(model, **options)
-    pipeline = novaphy.CollisionPipeline(model)
-    contacts = pipeline.contacts()
-    state, after = model.state(), model.state()
-    for _ in range(steps):
-        pipeline.collide(state, contacts)
-        solver.step(state, after, None, contacts, dt)
-        state, after = after, state
-        if see is not None:
-            see(state)
-    return state
-
-
-def rotation(q: np.ndarray) -> np.ndarray:
-    x, y, z, w = (float(v) for v in q)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + 2 * w * cross + 2 * cross @ cross
-
-
 def momenta(model: novaphy.Model, state: novaphy.State) -> tuple[np.ndarray, np.ndarray, float]:
     """Return momentum, angular momentum about the origin, and energy without that of elements."""
     m = model.particle_mass.numpy().astype(float)
@@ -116,7 +89,7 @@ def test_a_free_cloth_and_a_free_box_keep_their_momentum(
     linear, angular, energy = momenta(model, model.state())
     handed, errors = [], []
 
-    def see(state: novaphy.State) -> None:
+    def see(_: int, state: novaphy.State) -> None:
         now = momenta(model, state)
         handed.append(mass * abs(float(state.body_qd.numpy()[0, 2]) + 2))
         errors.append((np.linalg.norm(now[0] - linear), np.linalg.norm(now[1] - angular) / 0.1))
@@ -137,7 +110,7 @@ def test_a_box_and_a_sheet_that_fly_together_gain_no_energy(guess: str) -> None:
     before = momenta(model, model.state())[2]
     energies: list[float] = []
 
-    def see(state: novaphy.State) -> None:
+    def see(_: int, state: novaphy.State) -> None:
         energies.append(momenta(model, state)[2])
 
     run(model, 40, 1 / 120, see, initial_guess=guess)
@@ -201,7 +174,7 @@ def test_a_ball_rests_in_a_hammock() -> None:
     model = finalize(builder)
     _, _, energy = momenta(model, model.state())
 
-    def see(state: novaphy.State) -> None:
+    def see(_: int, state: novaphy.State) -> None:
         assert momenta(model, state)[2] < energy
 
     state = run(model, 240, 1 / 120, see, initial_guess="previous")

@@ -7,7 +7,8 @@
 namespace novaphy {
 
 // If the contact solve misses its law by more than this fraction of the largest impulse, the
-// gradient of the step is a surrogate. Between 1e-4 and 1e-3 gradients of piles were up to 28 % off.
+// gradient of the step is a surrogate. Between 1e-4 and 1e-3 gradients of piles were up to 28 %
+// off.
 inline constexpr float kSurrogateResidual = 1e-4f;
 
 inline constexpr int32_t kContactBegan = 0, kContactEnded = 1, kContactTurned = 2;

@@ -196,6 +196,8 @@ void Tape::ScanBody::separate_inputs() {
 }
 
 void Tape::ScanBody::load(int64_t step) const {
+  constexpr int64_t kStepsPerInterruptCheck = 64;
+  if (step % kStepsPerInterruptCheck == 0) novaphy::check_interrupt();
   for (size_t k = 0; tape_ && k < carry_.size(); ++k)
     detail::copy_row(carry_[k], carry_[k], 0, history_[k], step);
   for (size_t k = 0; k < x_.size(); ++k) {
@@ -219,9 +221,7 @@ void Tape::ScanBody::forward() {
     detail::copy_row(carry_[k], tape_ ? history_[k] : carry_[k], tape_ ? step : 0, from, 0);
   };
   for (size_t k = 0; k < carry_.size(); ++k) before(k, 0, init_[k]);
-  constexpr int64_t kStepsPerInterruptCheck = 64;
   for (int64_t step = 0; step < steps_; ++step) {
-    if (step % kStepsPerInterruptCheck == 0) novaphy::check_interrupt();
     load(step);
     clear_gradients();
     list_->submit();

@@ -42,7 +42,7 @@ class Tape::ScanBody : public std::enable_shared_from_this<Tape::ScanBody> {
 
   void forward();
   void clear_gradients() const;
-  void load(int64_t step) const;  // writes the arguments of a step
+  void load(int64_t step) const;  // writes the arguments of a step; throws if interrupted
 
   // These functions are in scan_derivatives.cpp.
   void backward(std::span<const Tensor> outputs, std::span<const InputGradient> inputs);

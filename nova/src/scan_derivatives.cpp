@@ -3,7 +3,6 @@
 #include <algorithm>
 
 #include "novaphy/core/error.h"
-#include "novaphy/core/parallel.h"
 #include "novaphy/nova/op_list.h"
 #include "scan_body.h"
 
@@ -12,7 +11,6 @@ namespace nova {
 namespace {
 uint64_t bit(size_t k) { return uint64_t{1} << k; }
 void copy(const Tensor& to, const Tensor& from) { detail::copy_row(to, to, 0, from, 0); }
-constexpr int64_t kStepsPerInterruptCheck = 64;
 }  // namespace
 
 // Gives a node of the body of a scan the memory of its gradient. See begin_contribution.
@@ -86,7 +84,6 @@ void Tape::ScanBody::backward(std::span<const Tensor> outputs,
   };
   for (size_t l = first_outside; l < leaves_.size(); ++l) hold(l);
   for (int64_t step = steps_; step-- > 0;) {
-    if (step % kStepsPerInterruptCheck == 0) novaphy::check_interrupt();
     load(step);
     for (size_t o = carries; o < seeds_.size(); ++o)
       if (of_ys >> o & 1) detail::copy_row(seeds_[o], seeds_[o], 0, of_results[o], step);
@@ -176,7 +173,6 @@ void Tape::ScanBody::tangent(std::span<const Tensor> inputs, std::span<const Ten
   for (size_t l = 0; l < leaves_.size(); ++l)
     if (l < carries || l >= first_outside || !inputs[l].defined()) store(places_[l], inputs[l]);
   for (int64_t step = 0; step < steps_; ++step) {
-    if (step % kStepsPerInterruptCheck == 0) novaphy::check_interrupt();
     load(step);
     for (size_t l = carries; l < first_outside; ++l)
       if (inputs[l].defined()) detail::copy_row(places_[l], places_[l], 0, inputs[l], step);

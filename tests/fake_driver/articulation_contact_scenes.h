@@ -96,6 +96,34 @@ inline ModelBuilder walker() {
   return b;
 }
 
+// Three worlds, each with one tree: slabs at fixed joints, whose corners make 12 contacts with the
+// plane, more than kCoupledContacts. The trees of two worlds have an overlap to correct.
+inline ModelBuilder slabs() {
+  ModelBuilder b;
+  b.add_ground_plane({.cfg = kSurface});
+  for (int w = 0; w < 3; ++w) {
+    ModelBuilder one;
+    const int32_t middle =
+        one.add_link({.xform = at(0.0f, 0.0f, 0.1f - 0.01f * static_cast<float>(w))});
+    one.add_shape_box(middle, {.hx = 0.2f, .hy = 0.2f, .hz = 0.1f, .cfg = kSurface});
+    std::vector<int32_t> joints = {one.add_joint_free(middle)};
+    for (const float side : {-1.0f, 1.0f}) {
+      const int32_t slab = one.add_link();
+      one.add_shape_box(slab, {.hx = 0.2f, .hy = 0.2f, .hz = 0.1f, .cfg = kSurface});
+      const JointDofConfig hinge = {
+          .axis = {0.0f, 1.0f, 0.0f}, .limit_lower = -0.4f, .limit_upper = 0.4f};
+      joints.push_back(one.add_joint_revolute(middle, slab,
+                                              {.parent_xform = at(0.25f * side, 0.0f, 0.0f),
+                                               .child_xform = at(-0.25f * side, 0.0f, 0.0f),
+                                               .dof = hinge}));
+    }
+    one.add_articulation(joints);
+    b.add_world(one);
+    b.joint_qd[b.joint_qd.size() - 8] = 0.5f * static_cast<float>(w);
+  }
+  return b;
+}
+
 // Two walkers on each other and among boxes, whose legs meet everything. All form one island of
 // trees and free bodies, with dry friction. An arm on the world reaches into the island.
 inline ModelBuilder crowd() {

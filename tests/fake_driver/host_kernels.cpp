@@ -93,7 +93,7 @@ namespace {
 
 void __syncthreads() { wait(State::AtBlockBarrier); }
 #define VENDOR_WARP 32
-void vendor_warp_barrier() { wait(State::AtWarpBarrier); }
+void vendor_warp_barrier(unsigned = ~0u) { wait(State::AtWarpBarrier); }
 unsigned vendor_shuffle_up(unsigned value, int step) {
   static unsigned values[1024];
   const unsigned t = threadIdx.x;
@@ -266,7 +266,8 @@ const HostKernel* find_host_kernel(const char* name) {
       OF_TEXT(trees::novaphy, gravity_compensation_vjp),
       OF_TEXT(trees::novaphy, gravity_compensation_jvp),
       OF_TEXT(tree_contacts::novaphy, articulation_contact_group),
-      OF_TEXT(tree_contacts::novaphy, articulation_contact_step),
+      entry<tree_contacts::novaphy::articulation_contact_step>(
+          "articulation_contact_step", true, tree_contacts::novaphy::articulation_contact_step),
       OF_TEXT(tree_contacts::novaphy, articulation_contact_open),
       OF_TEXT(tree_contacts::novaphy, articulation_contact_islands),
       OF_TEXT(tree_contacts::novaphy, articulation_contact_start),

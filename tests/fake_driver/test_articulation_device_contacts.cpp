@@ -156,6 +156,11 @@ TEST_F(ArticulationContactDevices, SixtyFourWorldsHaveTheBitsOfTheCpu) {
   }
 }
 
+// A team of threads steps a tree. The threads share the contacts of its sweeps.
+TEST_F(ArticulationContactDevices, TreesWithManyContactsHaveTheBitsOfTheCpu) {
+  expect_bits_of_the_cpu(slabs(), {.pairs = 20}, 3 * 12);
+}
+
 TEST_F(ArticulationContactDevices, DryFrictionActsWithoutContactsToo) {
   Steps how = {.pairs = 20, .contacts = false};
   const ModelBuilder scene = crowd();

@@ -4,7 +4,7 @@
 // Kernels if each group is one tree:
 //
 //   articulation_contact_group    the group of each contact, for the lists of contacts by group
-//   articulation_contact_step     a row per group: the whole step
+//   articulation_contact_step     a team of threads per group: the whole step
 //
 // Kernels if groups have several trees, or if TreeSteps solves some trees:
 //
@@ -56,19 +56,24 @@ NOVAPHY_ROW_KERNEL(articulation_contact_group, ArticulationContactGroupArguments
 }
 
 NOVAPHY_ROW_KERNEL(articulation_contact_step, ArticulationContactStepArguments) {
-  LocalIsland local;
-  const GroupStep s(a, local.bytes, row);
-  const int32_t* const trees = a.of.trees;
-  for (int32_t k = s.first_tree(); k < s.end_tree(); ++k) open_and_start(s, trees[k]);
-  find_islands(s);
-  for (int32_t k = s.first_tree(); k < s.end_tree(); ++k)
-    if (s.root(trees[k]) == trees[k]) solve_island(s, trees[k]);
-  for (int32_t k = s.first_tree(); k < s.end_tree(); ++k) finish_tree(s, trees[k]);
+  const Team team(row);
+  if (!team.works()) return;
+  const GroupStep s(a, row / kTeamThreads);
+  const int32_t tree = a.of.trees[s.first_tree()];
+  if (team.rank == 0) {
+    open_and_start(s, tree);
+    find_islands(s);
+  }
+  team.wait();
+  solve_island(team, s, tree);
+  team.wait();
+  if (team.rank > 0) return;
+  finish_tree(s, tree);
   if (a.notes != nullptr) note_group(s);
 }
 
 inline GroupStep group_of_tree(const ArticulationContactStepArguments& a, int64_t tree) {
-  return {a, nullptr, a.of.shapes.group_of_tree[tree]};
+  return {a, a.of.shapes.group_of_tree[tree]};
 }
 NOVAPHY_ROW_KERNEL(articulation_contact_open, ArticulationContactStepArguments) {
   const GroupStep s = group_of_tree(a, row);
@@ -78,7 +83,7 @@ NOVAPHY_ROW_KERNEL(articulation_contact_open, ArticulationContactStepArguments) 
     open_and_start(s, static_cast<int32_t>(row));
 }
 NOVAPHY_ROW_KERNEL(articulation_contact_islands, ArticulationContactStepArguments) {
-  find_islands({a, nullptr, row});
+  find_islands({a, row});
 }
 NOVAPHY_ROW_KERNEL(articulation_contact_start, ArticulationContactStepArguments) {
   if (a.of.nodes[row].taken == 0 && a.step.status[row] == 0)
@@ -87,13 +92,13 @@ NOVAPHY_ROW_KERNEL(articulation_contact_start, ArticulationContactStepArguments)
 NOVAPHY_ROW_KERNEL(articulation_contact_solve, ArticulationContactStepArguments) {
   const IslandNode& node = a.of.nodes[row];
   if (node.root == row && node.taken == 0 && node.solved == 0)
-    solve_island(group_of_tree(a, row), static_cast<int32_t>(row));
+    solve_island(Alone{}, group_of_tree(a, row), static_cast<int32_t>(row));
 }
 NOVAPHY_ROW_KERNEL(articulation_contact_finish, ArticulationContactStepArguments) {
   if (a.of.nodes[row].taken == 0) finish_tree(group_of_tree(a, row), static_cast<int32_t>(row));
 }
 NOVAPHY_ROW_KERNEL(articulation_contact_notes, ArticulationContactStepArguments) {
-  note_group({a, nullptr, row});
+  note_group({a, row});
 }
 
 struct ArticulationContactKeepArguments {

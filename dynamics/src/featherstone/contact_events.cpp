@@ -164,7 +164,7 @@ ContactEvents ContactSteps::events(const float* qd, bool continues,
   found.root.resize(count);
   bool any = false;
   for (int64_t group = 0; group < groups_; ++group) {
-    const GroupStep s(*last_, nullptr, group);
+    const GroupStep s(*last_, group);
     for (int32_t t = s.first_tree(); t < s.end_tree(); ++t) {
       const int32_t root = s.a.trees[t];
       found.root[static_cast<size_t>(root)] = s.root(root);

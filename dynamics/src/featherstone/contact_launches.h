@@ -20,7 +20,8 @@ struct ContactKernels {
   static constexpr DeviceText text = detail::articulation_contact_kernels_source,
                               vjp_text = detail::articulation_contact_vjp_kernels_source;
   NOVAPHY_CONTACT_KERNEL(contact_group)
-  NOVAPHY_STEP_KERNEL(contact_step)
+  Kernel<ArticulationContactStepArguments> contact_step{
+      kInChunks<articulation_contact_step, kTreeRows * kTeamThreads>, text};
   NOVAPHY_STEP_KERNEL(contact_open)
   NOVAPHY_STEP_KERNEL(contact_islands)
   NOVAPHY_STEP_KERNEL(contact_start)

@@ -84,8 +84,8 @@ ContactSteps::ContactSteps(const Model& m, const Articulations& articulations)
   groups_ = find_groups(m, group_of_tree);
   IndexRows lists;
   lists.build(group_of_tree, static_cast<int32_t>(groups_));
-  on_stack_ = static_cast<size_t>(groups_) == count &&
-              tree_stride_ * static_cast<int64_t>(sizeof(float)) <= kIslandStack;
+  fits_ = static_cast<size_t>(groups_) == count &&
+          tree_stride_ * static_cast<int64_t>(sizeof(float)) <= kIslandMemory;
   side_of_body_ = DeviceArray<int32_t>::from_host(sides, device, 2);
   moved_by_ = DeviceArray<int32_t>::from_host(moved_by, device);
   group_of_tree_ = DeviceArray<int32_t>::from_host(group_of_tree, device);
@@ -292,10 +292,11 @@ void ContactSteps::step(const ArticulationStepArguments& of, const ContactArgume
   const ContactKernels& k = contact_kernels();
   if (sleeping != nullptr) hold_some(*sleeping);
   list_contacts(contacts, record, sleeping);
-  const bool fuses = on_stack_ && lanes == nullptr;
+  const bool fuses = fits_ && lanes == nullptr;
   const int64_t trees = articulations_.count();
-  const auto numbers = static_cast<size_t>(trees * tree_stride_);
-  if (!fuses && trees_memory_.size() < numbers) {
+  const int64_t stride = fuses ? kIslandMemory / static_cast<int64_t>(sizeof(float)) : tree_stride_;
+  const auto numbers = static_cast<size_t>(trees * stride);
+  if (trees_memory_.size() < numbers) {
     const UntrackedScope untracked;
     trees_memory_ = DeviceArray<float>(numbers, model_.device());
   }
@@ -304,7 +305,7 @@ void ContactSteps::step(const ArticulationStepArguments& of, const ContactArgume
   a.step.workspace = trees_memory_;
   a.step.stride = fuses ? 0 : tree_stride_;
   if (fuses) {
-    run(k.contact_step, groups_, a);
+    run(k.contact_step, groups_ * kTeamThreads, a);
   } else {
     if (lanes != nullptr) last_ = in_memory(a);
     const auto launch = [&](const auto& kernel, const auto& function, int64_t n, bool all = false) {

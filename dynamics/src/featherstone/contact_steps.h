@@ -186,14 +186,14 @@ class ContactSteps {
   int64_t groups_ = 0, tree_stride_, adjoint_tree_stride_, contact_stride_;
   DeviceArray<int32_t> side_of_body_, moved_by_, group_of_tree_, tree_begin_, trees_;
   ArrayStamp friction_stamp_;
-  bool has_friction_ = false, on_stack_;
+  bool has_friction_ = false, fits_;
   bool has_run_ = false;                                  // whether the last step had rows
   std::optional<ArticulationContactStepArguments> last_;  // in host memory, on the CPU
   std::vector<int32_t> taken_;                            // the trees that TreeSteps takes
   IslandLanes islands_;
   // the rows with sleeping trees held in place
   std::vector<ArticulationRows> rows_;
-  std::vector<int32_t> met_;                              // sleeping trees with a contact
+  std::vector<int32_t> met_;     // sleeping trees with a contact
   bool has_long_trees_ = false;  // some tree has no mass matrix, but the kernels need one
   Contacts none_;
   int64_t capacity_ = -1;  // the number of contacts that fit; -1: no memory yet

@@ -17,7 +17,7 @@ namespace {
 // The contacts of the trees that TreeSteps solves.
 class TakenContacts : public TreeContacts {
  public:
-  explicit TakenContacts(const ArticulationContactStepArguments& a) : s_(a, nullptr, 0) {}
+  explicit TakenContacts(const ArticulationContactStepArguments& a) : s_(a, 0) {}
 
   int32_t count(int64_t tree) const override { return node(tree).rows; }
   int32_t fill(int64_t tree, int32_t i, float* numbers, int32_t stride) override {
@@ -81,7 +81,7 @@ void ContactSteps::hold_some(const SleepingTrees& sleeping) {
 // Computes the frames of sleeping trees, because other trees may touch them.
 void ContactSteps::open_some(const SleepingTrees& sleeping, const ContactArguments& contacts) {
   last_->step.in.rows = direct(rows_.data());
-  const GroupStep any(*last_, nullptr, 0);
+  const GroupStep any(*last_, 0);
   for (size_t i = 0; i < rows_.size(); ++i) {
     if (sleeping.asleep[i] == 0) continue;
     last_->step.status[i] = 0;

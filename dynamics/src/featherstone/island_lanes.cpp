@@ -15,7 +15,7 @@ constexpr int32_t kMostRows = 64, kMostTrees = 16;
 constexpr int64_t kFirstSweeps = 32;
 
 GroupStep group_of(const ArticulationContactStepArguments& a, int32_t tree) {
-  return {a, nullptr, a.of.shapes.group_of_tree[tree]};
+  return {a, a.of.shapes.group_of_tree[tree]};
 }
 
 bool is_coupled(const IslandNode& node, int32_t tree) {
@@ -177,7 +177,7 @@ void IslandLanes::solve(const ArticulationContactStepArguments& a, int64_t trees
     sweep(a, static_cast<int32_t>(std::min(sweeps, most)));
     if (sweeps >= most) break;
   }
-  for_islands([&](Island& i) { solve_island(group_of(a, i.root), i.root, &i.result); });
+  for_islands([&](Island& i) { solve_island(Alone{}, group_of(a, i.root), i.root, &i.result); });
 }
 
 }  // namespace novaphy

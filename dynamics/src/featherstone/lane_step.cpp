@@ -191,7 +191,7 @@ Tree<Lanes> make_tree(const TreeShape& s, const StepInputs<Lanes>& in) {
     const Tree<Lanes>& tree, const Workspace<Lanes>& ws, const ContactLaw<Lanes>& law,
     const LaneStepArguments& a, const TreeContactLink<Lanes>* links, const Lanes* qd,
     const TreeContactMemory<Lanes>& m) {
-  return solve_tree_contacts(tree, ws, law, a.most_sweeps, Lanes(a.tolerance),
+  return solve_tree_contacts(Alone{}, tree, ws, law, a.most_sweeps, Lanes(a.tolerance),
                              static_cast<const TreeContact<Lanes>*>(a.contacts), links,
                              a.contact_count, qd, m, ws.qd_next);
 }

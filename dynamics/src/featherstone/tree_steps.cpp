@@ -279,8 +279,9 @@ art::ContactLaw<float> contact_law(const FeatherstoneOptions& o, float dt) {
                                                      const art::TreeContactLink<float>* links,
                                                      int32_t count, const float* qd,
                                                      const art::TreeContactMemory<float>& m) {
-  return art::solve_tree_contacts(tree, ws, contact_law(options, dt), options.pgs_iterations,
-                                  options.pgs_tolerance, contacts, links, count, qd, m, ws.qd_next);
+  return art::solve_tree_contacts(Alone{}, tree, ws, contact_law(options, dt),
+                                  options.pgs_iterations, options.pgs_tolerance, contacts, links,
+                                  count, qd, m, ws.qd_next);
 }
 
 [[gnu::flatten]] void vjp_row(const ArticulationStepVjpArguments& a, int64_t row, int64_t count) {

@@ -5,7 +5,7 @@
 #define VENDOR_HAS_GRID_CONSTANT
 
 #define VENDOR_WARP 32
-VENDOR_FN void vendor_warp_barrier() { __syncwarp(); }
+VENDOR_FN void vendor_warp_barrier(const unsigned threads = ~0u) { __syncwarp(threads); }
 VENDOR_FN unsigned vendor_shuffle_up(unsigned word, int lanes) {
   return __shfl_up_sync(0xffffffffu, word, lanes);
 }

@@ -47,22 +47,18 @@ inline int64_t island_contact_bytes(int32_t dofs) {
   return ((coupled > isolated ? coupled : isolated) + 7) / 8 * 8;
 }
 
-// A group with one tree keeps the tree on the stack if it fits, and also its contacts if they fit.
-// The stacks of GPU threads are interleaved, so that a warp reads neighboring memory.
-inline constexpr int64_t kIslandStack = 12288;
-struct LocalIsland {
-  alignas(16) unsigned char bytes[kIslandStack];
-};
+// The memory (bytes) of a group whose only tree fits there, followed by its contacts if they fit.
+inline constexpr int64_t kIslandMemory = 12288;
 
-// The step of a group with contacts. `local`: stack memory for the tree of a group with one tree.
+// The step of a group with contacts. A stride of 0: each group has kIslandMemory.
 struct GroupStep : ContactGroup {
   const ArticulationContactStepArguments& all;
   const float warm_scale;
 
-  GroupStep(const ArticulationContactStepArguments& arguments, unsigned char* local, int64_t row)
+  GroupStep(const ArticulationContactStepArguments& arguments, int64_t row)
       : ContactGroup(arguments.step.in, arguments.of,
-                     arguments.step.stride.value > 0 ? arguments.step.workspace + int64_t{0}
-                                                     : reinterpret_cast<float*>(local),
+                     arguments.step.workspace + (arguments.step.stride.value > 0 ? 0 : row) *
+                                                    (kIslandMemory / int64_t{sizeof(float)}),
                      arguments.step.stride.value, row, arguments.point_id),
         all(arguments),
         warm_scale(scale_of(arguments)) {}
@@ -74,10 +70,6 @@ struct GroupStep : ContactGroup {
   // Returns the memory of an island's contacts.
   unsigned char* rows_memory(int32_t root) const {
     return island_memory() + a.nodes[root].begin * a.contact_stride.value * int64_t{sizeof(float)};
-  }
-  // Returns memory for an island: after the `used` bytes of its tree on the stack if possible.
-  unsigned char* memory_behind(int32_t root, int64_t used, int64_t bytes) const {
-    return stride == 0 && used + bytes <= kIslandStack ? memory(0) + used : rows_memory(root);
   }
   // Returns the places of an island's contacts, in their order.
   const int32_t* places(int32_t root) const {
@@ -212,9 +204,11 @@ inline articulation::TreeContact<float> contact_of_tree(const GroupStep& s, int3
                                     s.material(contact), s.kept(place), s.warm_scale);
 }
 
-// Solves an isolated island: one tree that touches only the world.
-inline articulation::IslandResult solve_isolated(const GroupStep& s, int32_t root) {
-  const IslandNode& node = s.a.nodes[root];
+// Solves an isolated island: one tree that touches only the world. The threads of a team share the
+// contacts. The first thread changes the tree.
+template <class Team>
+articulation::IslandResult solve_isolated(const Team& team, const GroupStep& s, int32_t root) {
+  IslandNode& node = s.a.nodes[root];
   const articulation::IslandTree of = s.tree(root);
   const int32_t dofs = of.tree.dof_count;
   const int64_t used = tree_rates_offset(of.tree.link_count, dofs) + tree_rates_bytes(dofs);
@@ -222,39 +216,42 @@ inline articulation::IslandResult solve_isolated(const GroupStep& s, int32_t roo
       node.rows * static_cast<int64_t>(sizeof(articulation::TreeContact<float>) +
                                        sizeof(articulation::TreeContactLink<float>)) +
       articulation::tree_contact_bytes<float>(node.rows, dofs);
-  auto* const found =
-      reinterpret_cast<articulation::TreeContact<float>*>(s.memory_behind(root, used, bytes));
+  const bool fits = s.stride == 0 && used + bytes <= kIslandMemory;
+  auto* const found = reinterpret_cast<articulation::TreeContact<float>*>(
+      fits ? s.memory(0) + used : s.rows_memory(root));
   auto* const links = reinterpret_cast<articulation::TreeContactLink<float>*>(found + node.rows);
-  articulation::TreeContactMemory<float> m = articulation::make_tree_contact_memory<float>(
-      links + node.rows, node.rows, of.tree.dof_count);
+  auto m = articulation::make_tree_contact_memory<float>(links + node.rows, node.rows, dofs);
   m.shift = of.rates + articulation::padded_dofs(dofs);
   const int32_t* const places = s.places(root);
-  for (int32_t n = 0; n < node.rows; ++n) {
+  for (int32_t n = team.rank; n < node.rows; n += team.size) {
     int32_t link = 0;
     found[n] = contact_of_tree(s, root, places[n], link);
     const articulation::LinkState<float>& at = of.ws.links[link];
-    links[n].q = at.q;
-    links[n].p = at.p;
-    links[n].origin = at.origin;
+    links[n] = {at.q, at.p, at.origin};
   }
-  if (!articulation::touching(found, node.rows)) hold_rates(s, root);
+  team.wait();
+  if (team.rank == 0 && !articulation::touching(found, node.rows)) hold_rates(s, root);
+  team.wait();
   articulation::Workspace<float> ws = of.ws;
   articulation::TreeContactResult<float> result;
   int32_t failed = -1;
-  for (int32_t round = 0; failed < 0; ++round) {
+  for (int32_t round = 0; node.solved == 0; ++round) {
     result = articulation::solve_tree_contacts(
-        of.tree, ws, s.law, static_cast<int32_t>(s.all.most_sweeps.value), s.all.tolerance.value,
-        found, links, node.rows, of.qd, m, ws.qd_next);
+        team, of.tree, ws, s.law, static_cast<int32_t>(s.all.most_sweeps.value),
+        s.all.tolerance.value, found, links, node.rows, of.qd, m, ws.qd_next);
     ws.shift = m.shift;
-    failed = articulation::first_not_finite(ws, dofs);
-    if (failed >= 0 ||
-        !articulation::renew_tree(of.tree, s.in, s.how, found, node.rows, m, round, ws))
-      break;
-    failed = articulation::solve_accelerations(of.tree, s.in, s.how, ws);
-    if (failed < 0) articulation::free_rates(of.tree, s.in, s.how, ws);
+    if (team.rank == 0) {
+      failed = articulation::first_not_finite(ws, dofs);
+      const bool renewed = failed < 0 && articulation::renew_tree(of.tree, s.in, s.how, found,
+                                                                  node.rows, m, round, ws);
+      if (renewed) failed = articulation::solve_accelerations(of.tree, s.in, s.how, ws);
+      if (renewed && failed < 0) articulation::free_rates(of.tree, s.in, s.how, ws);
+      node.solved = !renewed || failed >= 0;
+    }
+    team.wait();
   }
   if (failed >= 0) s.all.step.status[root] = 1 + failed + s.rows(root).first_dof;
-  for (int32_t n = 0; n < node.rows; ++n)
+  for (int32_t n = team.rank; n < node.rows; n += team.size)
     take_contact(s, places[n], m.rows[n].frame, m.rows[n].impulse);
   return {static_cast<int32_t>(result.sweeps), result.residual, result.largest};
 }
@@ -314,7 +311,7 @@ inline void start_coupled(const GroupStep& s, int32_t root, bool all) {
 
 // Solves any island. `swept`: the result of sweep_rates after start_coupled; null: not called yet.
 inline articulation::IslandResult solve_coupled(const GroupStep& s, int32_t root,
-                                               const articulation::IslandResult* swept) {
+                                                const articulation::IslandResult* swept) {
   const ContactGroupArguments& a = s.a;
   const IslandNode& node = a.nodes[root];
   articulation::IslandContact* const rows = rows_of(s, root);
@@ -355,15 +352,23 @@ inline articulation::IslandResult solve_coupled(const GroupStep& s, int32_t root
   return result;
 }
 
-// Solves an island. If a tree fails, the whole island fails. `swept`: as in solve_coupled.
-inline void solve_island(const GroupStep& s, int32_t root,
-                         const articulation::IslandResult* swept = nullptr) {
+// Solves an island. If a tree fails, the whole island fails. `swept`: as in solve_coupled. The
+// threads of a team share isolated islands.
+template <class Team>
+void solve_island(const Team& team, const GroupStep& s, int32_t root,
+                  const articulation::IslandResult* swept = nullptr) {
   const ContactGroupArguments& a = s.a;
   int32_t* const all_status = s.all.step.status;
   IslandNode& node = a.nodes[root];
   int32_t status = 0;
   for (int32_t i = root; i >= 0 && status == 0; i = a.nodes[i].next) status = all_status[i];
-  if (status != 0) {
+  team.wait();
+  if (status == 0 && node.coupled == 0 && node.rows > 0) {
+    const articulation::IslandResult result = solve_isolated(team, s, root);
+    if (team.rank == 0) node.result = result;
+  } else if (team.rank > 0) {
+    return;
+  } else if (status != 0) {
     const float nan = math::bits_float(0x7fc00000);
     for (int32_t i = root; i >= 0; i = a.nodes[i].next) all_status[i] = status;
     for (int32_t n = 0; n < node.rows && s.all.force != nullptr; ++n)
@@ -373,8 +378,6 @@ inline void solve_island(const GroupStep& s, int32_t root,
     node.result = solve_coupled(s, root, swept);
     for (int32_t n = 0; s.all.notes != nullptr && n < node.rows; ++n)
       rows_of(s, root)[n].turns = s.turns(rows_of(s, root)[n]);
-  } else if (node.rows > 0) {
-    node.result = solve_isolated(s, root);
   } else {
     for (int32_t i = root; i >= 0; i = a.nodes[i].next) hold_rates(s, i);
   }

@@ -9,6 +9,7 @@
 // than the others gets contacts that move no link and have an arbitrary normal.
 #pragma once
 
+#include "novaphy/core/team.h"
 #include "novaphy/dynamics/articulation/contact_rows.h"
 #include "novaphy/dynamics/articulation/pgs.h"
 #include "novaphy/dynamics/articulation/rubbing.h"
@@ -147,10 +148,11 @@ Coupling<T> coupling(const Tree<T>& tree, const TreeContact<T>* contacts, int32_
   return of;
 }
 
-template <class T>
-void set_rubbing_steps(const Tree<T>& tree, const TreeContact<T>* contacts, int32_t count,
-                       const TreeContactMemory<T>& m) {
-  for (int32_t c = 0; c < count; ++c) {
+template <class T, class Team>
+void set_rubbing_steps(const Team& team, const Tree<T>& tree, const TreeContact<T>* contacts,
+                       int32_t count, const TreeContactMemory<T>& m) {
+  team.wait();
+  for (int32_t c = team.rank; c < count; c += team.size) {
     const Coupling<T> own = coupling(tree, contacts, c, c, m);
     m.rows[c].normal_step = rubbing_step<T>(m.rows[c], own.a[0][1], own.a[0][2]);
   }
@@ -163,11 +165,13 @@ struct TreeContactResult {
 
 // Computes the rates v of the tree in place, from the rates without impulses. `contacts` and
 // `links`: {count}. `qd`: the tree's rates before the step. Impulses and shifts remain in the
-// memory.
-template <class T>
-TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>& ws,
-                                         const ContactLaw<T>& law, int32_t most_sweeps,
-                                         const T& tolerance, const TreeContact<T>* contacts,
+// memory. The threads of a team share contacts, blocks of A and entries of sums. Every thread of
+// the team computes the impulses of each contact, from the same numbers.
+template <class T, class Team>
+TreeContactResult<T> solve_tree_contacts(const Team& team, const Tree<T>& tree,
+                                         const Workspace<T>& ws, const ContactLaw<T>& law,
+                                         int32_t most_sweeps, const T& tolerance,
+                                         const TreeContact<T>* contacts,
                                          const TreeContactLink<T>* links, int32_t count,
                                          const T* qd, const TreeContactMemory<T>& m, T* v) {
   const int64_t n = tree.dof_count, rows = 3 * count;
@@ -175,7 +179,7 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
   const T o = T(0.0f);
   const Vec3<T> none = {o, o, o};
   const T mass = hanging_mass(tree, ws, -1);
-  for (int32_t c = 0; c < count; ++c) {
+  for (int32_t c = team.rank; c < count; c += team.size) {
     const TreeContact<T>& contact = contacts[c];
     const TreeContactLink<T>& link = links[c];
     TreeContactRow<T>& row = m.rows[c];
@@ -202,7 +206,12 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
     row.shift = target.shift;
     row.cfm = target.cfm;
     row.friction = contact.material.friction;
+  }
+  team.wait();
+  int32_t block = 0;
+  for (int32_t c = 0; c < count; ++c) {
     for (int32_t b = 0; coupled && b < c; ++b) {
+      if (block++ % team.size != team.rank) continue;
       const Coupling<T> of = coupling(tree, contacts, b, c, m);
       for (int r = 0; r < 3; ++r)
         for (int t = 0; t < 3; ++t) {
@@ -210,6 +219,9 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
           m.coupling[(3 * b + r) * rows + (3 * c + t)] = of.a[r][t];
         }
     }
+    if (block++ % team.size != team.rank) continue;
+    TreeContactRow<T>& row = m.rows[c];
+    const TreeContact<T>& contact = contacts[c];
     const Coupling<T> own = coupling(tree, contacts, c, c, m);
     for (int r = 0; coupled && r < 3; ++r)
       for (int t = 0; t < 3; ++t) m.coupling[(3 * c + t) * rows + (3 * c + r)] = own.a[r][t];
@@ -225,13 +237,14 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
                   math::dot(contact.start_tangent, row.frame.axes[1]),
                   math::dot(contact.start_tangent, row.frame.axes[2]));
   }
+  team.wait();
   const auto push = [&](int64_t row, const T& impulse) {
     const T* const column = coupled ? m.coupling + row * rows : m.response + row * n;
     T* const to = coupled ? m.slip : v;
     const int64_t count_to = coupled ? rows : n;
-    for (int64_t r = 0; r < count_to; ++r) to[r] = to[r] + column[r] * impulse;
+    for (int64_t r = team.rank; r < count_to; r += team.size) to[r] = to[r] + column[r] * impulse;
   };
-  const auto slip_of = [&](int64_t row) {
+  const auto slip_now = [&](int64_t row) {
     if (coupled) return m.slip[row];
     const T* const j = m.jacobian + row * n;
     T s0 = o, s1 = o;
@@ -242,6 +255,13 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
     }
     if (k < n) s0 = s0 + j[k] * v[k];
     return s0 + s1;
+  };
+  // Other threads change the slips before and after.
+  const auto slip_of = [&](int64_t row) {
+    team.wait();
+    const T slip = slip_now(row);
+    team.wait();
+    return slip;
   };
   for (int32_t c = 0; c < count; ++c)
     for (int32_t r = 0; r < 3; ++r)
@@ -254,42 +274,50 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
     T worst = o;
     for (int32_t i = 0; i < count; ++i) {
       const int32_t c = sweeps % 2 != 0 ? count - 1 - i : i;
+      team.wait();
+      auto&& row = team.own(m.rows[c]);
       const T moved = sweep_contact<T>(
-          m.rows[c], law.cone, active, [&](int32_t r) { return slip_of(3 * c + r); },
+          row, law.cone, active, [&](int32_t r) { return slip_of(3 * c + r); },
           [&](int32_t r, const T& impulse) { push(3 * c + r, impulse); });
+      for (int r = 0; r < 3; ++r) team.put(row.impulse[r], m.rows[c].impulse[r]);
       worst = select(moved > worst, moved, worst);
     }
-    if (renews_rubbing(++sweeps)) set_rubbing_steps(tree, contacts, count, m);
+    if (renews_rubbing(++sweeps)) set_rubbing_steps(team, tree, contacts, count, m);
     result.sweeps = select(active, T(static_cast<float>(sweeps)), result.sweeps);
     result.residual = select(active, worst, result.residual);
     active = both(active, negate(worst < tolerance));
   } while (sweeps < most_sweeps && any(active));
+  team.wait();
 
   const auto add = [&](int64_t row, const T& impulse, T* to) {
     if (all(impulse == o)) return;
     const T* const y = m.response + row * n;
-    for (int64_t k = 0; k < n; ++k) to[k] = to[k] + y[k] * impulse;
+    for (int64_t k = team.rank; k < n; k += team.size) to[k] = to[k] + y[k] * impulse;
   };
   for (int32_t c = 0; coupled && c < count; ++c)
     for (int32_t r = 0; r < 3; ++r) add(3 * c + r, m.rows[c].impulse[r], v);
-  for (int64_t k = 0; k < n; ++k) v[k] = v[k] + o;  // -0 becomes +0, as in sums over several terms
+  for (int64_t k = team.rank; k < n; k += team.size)
+    v[k] = v[k] + o;  // -0 becomes +0, as in sums over several terms
 
   for (int32_t c = 0; c < count; ++c) {
     const T size = m.rows[c].normal * m.rows[c].impulse[0];
     result.largest = select(size > result.largest, size, result.largest);
   }
-  for (int64_t k = 0; k < n; ++k) m.shift[k] = o;
+  for (int64_t k = team.rank; k < n; k += team.size) m.shift[k] = o;
   active = o < o;
   for (int32_t c = 0; c < count; ++c) active = either(active, m.rows[c].shift < m.rows[c].bias);
   for (int32_t sweep = 0; sweep < kShiftSweeps && any(active); ++sweep) {
     T worst = o;
     for (int32_t c = 0; c < count; ++c) {
+      team.wait();
+      auto&& row = team.own(m.rows[c]);
       const T moved = sweep_shift<T>(
-          m.rows[c], active,
+          row, active,
           [&] {
-            T w = slip_of(3 * c);
+            T w = slip_now(3 * c);
             for (int64_t k = 0; !coupled && k < n; ++k)
               w = w + m.jacobian[3 * c * n + k] * m.shift[k];
+            team.wait();
             return w;
           },
           [&](const T& impulse) {
@@ -298,11 +326,14 @@ TreeContactResult<T> solve_tree_contacts(const Tree<T>& tree, const Workspace<T>
             else
               add(3 * c, impulse, m.shift);
           });
+      team.put(row.shifted, m.rows[c].shifted);
       worst = select(moved > worst, moved, worst);
     }
     active = both(active, negate(worst < T(kShiftTolerance)));
   }
+  team.wait();
   for (int32_t c = 0; coupled && c < count; ++c) add(3 * c, m.rows[c].shifted, m.shift);
+  team.wait();
   return result;
 }
 

@@ -1,0 +1,46 @@
+// Teams: the threads of a device that share the work of one item. A warp has several teams.
+//
+//   NOVAPHY_ROW_KERNEL(solve, SolveArguments) {
+//     const Team team(row);
+//     if (team.works()) solve_item(team, a, row / kTeamThreads);
+//   }
+//
+// A launch over n items has n * kTeamThreads rows. On the CPU, and on devices without warps, a team
+// is one thread, and the other rows do nothing. Code for teams is a template over Team or Alone:
+//
+//   for (int32_t k = team.rank; k < count; k += team.size) ...   // shared work
+//   team.wait();                                                 // before others read its results
+#pragma once
+
+#include <cstdint>
+
+namespace novaphy {
+
+constexpr int64_t kTeamThreads = 8;
+
+// A thread that works alone.
+struct Alone {
+  static constexpr int32_t rank = 0, size = 1;
+  // Waits until all threads of the team have come here.
+  void wait() const {}
+  // Returns the thread's own copy of a value. A thread that works alone has the value itself.
+  template <class V>
+  V& own(V& value) const {
+    return value;
+  }
+  // Writes an own copy back, for all threads of the team.
+  template <class V>
+  void put(const V&, V&) const {}
+};
+
+// The team of a row.
+struct Team : Alone {
+  explicit Team(int64_t row) : works_(row % kTeamThreads == 0) {}
+  // Returns whether the row's thread is part of the team.
+  bool works() const { return works_; }
+
+ private:
+  bool works_;
+};
+
+}  // namespace novaphy

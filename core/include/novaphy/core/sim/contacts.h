@@ -26,10 +26,9 @@ struct ContactCounts {
 // the shape's body. For a world-owned shape the frame is the world.
 #define NOVAPHY_CONTACT_FIELDS(X)                                                                 \
   X(soft_contact_count, int32_t, 1, one, "", "",                                                  \
-    "soft contacts found; may exceed soft_contact_max, consumers use min(count, max)")            \
-  X(soft_contact_particle, int32_t, 1, soft_contact_max, "", "",                                  \
-    "particle; -1 in an unused slot")                                                             \
-  X(soft_contact_shape, int32_t, 1, soft_contact_max, "", "", "shape; -1 in an unused slot")      \
+    "number of soft contacts found, which may exceed soft_contact_max")                           \
+  X(soft_contact_particle, int32_t, 1, soft_contact_max, "", "", "particle; -1: unused slot")     \
+  X(soft_contact_shape, int32_t, 1, soft_contact_max, "", "", "shape; -1: unused slot")           \
   X(soft_contact_body_pos, Vec3f, 1, soft_contact_max, "m", "body, or world",                     \
     "closest point of the shape's surface, without its margin")                                   \
   X(soft_contact_body_vel, Vec3f, 1, soft_contact_max, "m/s", "body, or world",                   \
@@ -37,33 +36,34 @@ struct ContactCounts {
   X(soft_contact_normal, Vec3f, 1, soft_contact_max, "1", "world",                                \
     "unit normal, out of the shape to the particle")                                              \
   X(soft_contact_tids, int32_t, 1, soft_contact_pair_count, "", "",                               \
-    "slot of every candidate pair, shape-major; -1 where there is no contact or no slot was "     \
-    "left")                                                                                       \
+    "slot of each candidate pair, ordered by shape; -1: no contact, or no free slot")             \
   X(rigid_contact_count, int32_t, 1, one, "", "",                                                 \
-    "rigid contacts found; may exceed rigid_contact_max, consumers use min(count, max)")          \
+    "number of rigid contacts found, which may exceed rigid_contact_max")                         \
   X(rigid_contact_shape0, int32_t, 1, rigid_contact_max, "", "",                                  \
-    "shape A, of the smaller GeoType (of two alike: the smaller index); -1 in an unused row")     \
+    "shape A, of the smaller GeoType (or index, for equal types); -1 in an unused row")           \
   X(rigid_contact_shape1, int32_t, 1, rigid_contact_max, "", "", "shape B; -1 in an unused row")  \
   X(rigid_contact_point0, Vec3f, 1, rigid_contact_max, "m", "body, or world",                     \
-    "point of A's core: the surface of A, or the center of a sphere, the axis of a capsule")      \
-  X(rigid_contact_point1, Vec3f, 1, rigid_contact_max, "m", "body, or world", "the same of B")    \
+    "core point of A: on its surface, or center of a sphere, or on the axis of a capsule")        \
+  X(rigid_contact_point1, Vec3f, 1, rigid_contact_max, "m", "body, or world", "core point of B")  \
   X(rigid_contact_offset0, Vec3f, 1, rigid_contact_max, "m", "body, or world",                    \
     "from point0 to A's surface with its margin: normal * margin0")                               \
   X(rigid_contact_offset1, Vec3f, 1, rigid_contact_max, "m", "body, or world",                    \
-    "the same of B: -normal * margin1")                                                           \
+    "from point1 to B's surface with its margin: -normal * margin1")                              \
   X(rigid_contact_normal, Vec3f, 1, rigid_contact_max, "1", "world", "unit normal, from A to B")  \
   X(rigid_contact_margin0, float, 1, rigid_contact_max, "m", "",                                  \
     "radius of A (sphere, capsule) plus its shape_margin")                                        \
-  X(rigid_contact_margin1, float, 1, rigid_contact_max, "m", "", "the same of B")                 \
+  X(rigid_contact_margin1, float, 1, rigid_contact_max, "m", "", "radius of B plus shape_margin") \
   X(rigid_contact_point_id, int32_t, 1, rigid_contact_max, "", "",                                \
-    "feature of the pair that touches; -1 in an unused row")                                      \
+    "number of the pair of features that touch; -1 in an unused row")                             \
   X(rigid_contact_stiffness, float, 1, rigid_contact_materials, "N/m", "",                        \
-    "where it is > 0 the row's ke, instead of its shapes'; no rows unless asked for")             \
-  X(rigid_contact_damping, float, 1, rigid_contact_materials, "N*s/m", "", "kd likewise")         \
-  X(rigid_contact_friction, float, 1, rigid_contact_materials, "1", "", "mu likewise")            \
+    "> 0: ke of the row, instead of the shapes' ke; needs per_contact_shape_properties")          \
+  X(rigid_contact_damping, float, 1, rigid_contact_materials, "N*s/m", "",                        \
+    "> 0: kd of the row, instead of the shapes' kd")                                              \
+  X(rigid_contact_friction, float, 1, rigid_contact_materials, "1", "",                           \
+    "> 0: mu of the row, instead of the shapes' mu")                                              \
   X(rigid_contact_force, Vec3f, 1, rigid_contact_max, "N", "world",                               \
     "force on B, written by solvers; A gets the opposite")                                        \
-  X(contact_generation, int32_t, 1, one, "", "", "raised by clear() and by every collide")
+  X(contact_generation, int32_t, 1, one, "", "", "counts the calls of clear() and collide")
 // clang-format on
 
 NOVAPHY_DECLARE_FIELDS(ContactFields, NOVAPHY_CONTACT_FIELDS, ContactCounts)

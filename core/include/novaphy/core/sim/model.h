@@ -42,7 +42,7 @@ namespace novaphy {
   X(joint_target_ke, float, 1, joint_dof_count, "N/m or N*m/rad", "", "stiffness of the drive")   \
   X(joint_target_kd, float, 1, joint_dof_count, "N*s/m or N*m*s/rad", "", "damping of the drive") \
   X(joint_damping, float, 1, joint_dof_count, "N*s/m or N*m*s/rad", "",                           \
-    "force against the velocity, per velocity")                                                   \
+    "damping force per velocity")                                                                 \
   X(joint_friction, float, 1, joint_dof_count, "N or N*m", "", "largest dry friction")            \
   X(joint_limit_lower, float, 1, joint_dof_count, "m or rad", "joint",                            \
     "lower limit; -1e10: none. First row of a DISTANCE joint: the shortest distance")             \
@@ -62,29 +62,29 @@ namespace novaphy {
   X(joint_X_c, Transformf, 1, joint_count, "m, 1", "body",                                        \
     "pose of the joint frame in the child")                                                       \
   X(joint_dof_dim, Vec2i, 1, joint_count, "", "", "linear and angular degrees of freedom")        \
-  X(joint_q_start, int32_t, 1, joint_count + 1, "", "", "first coordinate; the last row: their "  \
-    "number")                                                                                     \
-  X(joint_qd_start, int32_t, 1, joint_count + 1, "", "", "first degree of freedom; the last row: "\
-    "their number")                                                                               \
+  X(joint_q_start, int32_t, 1, joint_count + 1, "", "",                                           \
+    "first coordinate of the joint; last row: the number of coordinates")                         \
+  X(joint_qd_start, int32_t, 1, joint_count + 1, "", "",                                          \
+    "first dof of the joint; last row: the number of dofs")                                       \
   X(joint_enabled, uint8_t, 1, joint_count, "", "", "0: the joint exerts no force")               \
   X(joint_articulation, int32_t, 1, joint_count, "", "", "articulation of the joint; -1: none")   \
   X(joint_ancestor, int32_t, 1, joint_count, "", "",                                              \
-    "joint of the same articulation whose child is the parent; -1: none")                         \
+    "joint whose child is the parent of this joint, in the same articulation; -1: none")          \
   X(joint_world, int32_t, 1, joint_count, "", "", "world of the joint; -1: all worlds")           \
-  X(joint_mimic, int32_t, 1, joint_count, "", "", "joint that this one follows; -1: none")        \
+  X(joint_mimic, int32_t, 1, joint_count, "", "", "joint that this joint mimics; -1: none")       \
   X(joint_mimic_coef, Vec2f, 1, joint_count, "m or rad, and their ratio", "joint",                \
-    "(a, b) of a mimic joint: its coordinate is a + b times the other's")                            \
+    "(a, b) of a mimic joint: its coordinate is a + b times that of the mimicked joint")          \
   X(joint_q, float, 1, joint_coord_count, "m or rad", "joint", "initial joint coordinates, see "  \
     "JointType")                                                                                  \
   X(joint_target_q, float, 1, joint_coord_count, "m or rad", "joint",                             \
-    "position targets that a control starts from")                                                \
+    "initial position targets of a control")                                                      \
   X(joint_axis, Vec3f, 1, joint_dof_count, "1", "joint", "unit vector of the degree of freedom")  \
   X(joint_target_mode, int32_t, 1, joint_dof_count, "", "", "JointTargetMode")                    \
   NOVAPHY_MODEL_JOINT_DOF_FIELDS(X)                                                               \
   X(articulation_start, int32_t, 1, articulation_count + 1, "", "",                               \
-    "first joint; the last row: the number of joints")                                \
+    "first joint of the articulation; last row: the number of joints")                            \
   X(articulation_end, int32_t, 1, articulation_count, "", "",                                     \
-    "behind the last joint")
+    "index after the last joint of the articulation")
 
 // The arrays that say which joints and articulations exist. These arrays may not change after
 // finalize.
@@ -116,7 +116,7 @@ namespace novaphy {
     "1/mass; 0 where the mass is 0: no force, no gravity")                                        \
   X(particle_radius, float, 1, particle_count, "m", "", "particle radii")                         \
   X(particle_flags, int32_t, 1, particle_count, "", "",                                           \
-    "ParticleFlags; without ACTIVE a particle stays as it is")                                    \
+    "ParticleFlags; a particle without ACTIVE does not change")                                   \
   X(particle_world, int32_t, 1, particle_count, "", "", "world of the particle; -1: all worlds")  \
   X(particle_colors, int32_t, 1, particle_count, "", "",                                          \
     "color of the particle, see ModelBuilder::color; -1: none")                                  \
@@ -132,21 +132,21 @@ namespace novaphy {
     "inverse of the edges x1 - x0, x2 - x0 at rest, as columns; x along the first edge")          \
   X(particle_tri_area, float, 1, tri_count, "m^2", "", "area at rest")                            \
   X(particle_tri_activation, float, 1, tri_count, "1", "",                                        \
-    "added to the relative area; where a step has a Control, the Control's acts")                 \
+    "added to the relative area; a step uses the activation of its Control, if it has one")       \
   X(particle_tri_material, float, 5, tri_count, "N/m, N/m, N*s/m, N*s^2/m^4, N*s^2/m^4", "",      \
     "ke (membrane), ka (area), kd (damping), drag, lift")                                         \
   X(particle_edge_indices, Vec4i, 1, edge_count, "", "",                                          \
-    "bending edges: the two opposite vertices (-1: none), then the ends of the edge")             \
+    "two vertices opposite to the bending edge (-1: none), then the ends of the edge")            \
   X(particle_edge_rest_angle, float, 1, edge_count, "rad", "", "angle without a force")           \
   X(particle_edge_rest_length, float, 1, edge_count, "m", "", "length of the edge at rest")       \
   X(particle_edge_material, float, 2, edge_count, "N/m^2, N*s/m^4", "",                           \
     "ke (bending stiffness), kd (damping)")                                                       \
-  X(particle_tet_indices, Vec4i, 1, tet_count, "", "", "corners, of positive volume")             \
+  X(particle_tet_indices, Vec4i, 1, tet_count, "", "", "corners, ordered for a volume > 0")       \
   X(particle_tet_pose, Mat33f, 1, tet_count, "1/m", "world",                                      \
     "inverse of the edges x1 - x0, x2 - x0, x3 - x0 at rest, as columns")                         \
   X(particle_tet_volume, float, 1, tet_count, "m^3", "", "volume at rest")                        \
   X(particle_tet_activation, float, 1, tet_count, "1", "",                                        \
-    "added to the relative volume; where a step has a Control, the Control's acts")               \
+    "added to the relative volume; a step uses the activation of its Control, if it has one")     \
   X(particle_tet_material, float, 3, tet_count, "Pa, Pa, Pa*s", "",                               \
     "k_mu, k_lambda (Lame), k_damp (damping)")                                                    \
   X(body_q, Transformf, 1, body_count, "m, 1", "world",                                           \
@@ -159,14 +159,14 @@ namespace novaphy {
   X(body_inertia, Mat33f, 1, body_count, "kg*m^2", "body",                                        \
     "rotational inertia about the center of mass")                                                \
   X(body_inv_inertia, Mat33f, 1, body_count, "1/(kg*m^2)", "body",                                \
-    "inverse of the inertia; 0 where that is 0")                                                  \
+    "inverse of the inertia; 0 where the inertia is 0")                                           \
   X(body_gravcomp, float, 1, body_count, "1", "",                                                 \
-    "part of the weight that a force at the center of mass takes away")                           \
+    "fraction of the weight that a force at the center of mass cancels")                          \
   X(body_flags, int32_t, 1, body_count, "", "",                                                   \
-    "BodyFlags; a KINEMATIC body follows its velocity, no force moves it")                        \
+    "BodyFlags; no force changes the prescribed velocity of a KINEMATIC body")                    \
   X(body_world, int32_t, 1, body_count, "", "", "world of the body; -1: all worlds")              \
   X(shape_body, int32_t, 1, shape_count, "", "",                                                  \
-    "body of the shape; -1: world-owned, it does not move")                                       \
+    "body of the shape; -1: the shape belongs to the world and does not move")                    \
   X(shape_transform, Transformf, 1, shape_count, "m, 1", "body, or world",                        \
     "pose of the shape: position, quaternion xyzw")                                               \
   X(shape_type, int32_t, 1, shape_count, "", "", "GeoType")                                       \
@@ -175,12 +175,12 @@ namespace novaphy {
   X(shape_flags, int32_t, 1, shape_count, "", "", "ShapeFlags")                                   \
   X(shape_world, int32_t, 1, shape_count, "", "", "world of the shape; -1: all worlds")           \
   X(shape_color, Vec3f, 1, shape_count, "1", "",                                                  \
-    "red, green, blue, 0 to 1, that viewers show; negative: none was given, they choose one")     \
+    "red, green, blue (0 to 1) for viewers; negative: the viewer chooses a color")                \
   X(shape_collision_group, int32_t, 1, shape_count, "", "", "collision group, see ShapeConfig")   \
   X(shape_is_solid, uint8_t, 1, shape_count, "", "", "1 if solid, 0 if a shell")                  \
   X(shape_margin, float, 1, shape_count, "m", "",                                                 \
-    "moves the surface outwards for other shapes; for particles it only widens the detection: "   \
-    "the soft contact force does not use it")                                                     \
+    "outward offset of the surface for other shapes; for particles it only increases the "        \
+    "detection distance")                                                                         \
   X(shape_gap, float, 1, shape_count, "m", "", "detection distance of rigid contacts")            \
   X(shape_material_ke, float, 1, shape_count, "N/m", "", "contact stiffness")                     \
   X(shape_material_kd, float, 1, shape_count, "N*s/m", "", "contact damping")                     \
@@ -188,28 +188,28 @@ namespace novaphy {
   X(shape_material_ka, float, 1, shape_count, "m", "", "adhesion distance of rigid contacts")     \
   X(shape_material_mu, float, 1, shape_count, "1", "", "Coulomb friction")                        \
   X(shape_material_restitution, float, 1, shape_count, "1", "",                                   \
-    "part of the speed of approach that a bounce gives back; SolverFeatherstone's pgs only")      \
+    "ratio of separation speed to approach speed; only for SolverFeatherstone with pgs")          \
   X(shape_material_mu_torsional, float, 1, shape_count, "1", "",                                  \
     "stored; no force uses it")                                            \
   X(shape_material_mu_rolling, float, 1, shape_count, "1", "",                                    \
     "stored; no force uses it")                                              \
   X(shape_mixing, float, 4, shape_count, "1, 1, 1/kg, 1", "",                                     \
-    "priority, weight, inverse mass, mu in place of 0: how materials of two shapes combine, see "  \
+    "how two materials combine: priority, weight, inverse mass, replacement of a mu of 0; see "   \
     "ShapeConfig")                                                                                \
   X(shape_collision_radius, float, 1, shape_count, "m", "shape",                                  \
-    "radius of a sphere about the shape's origin that holds the shape; 1e6 for an infinite "      \
+    "radius of a sphere about the shape's origin that contains the shape; 1e6 for an infinite "   \
     "plane")                                                                                      \
   X(shape_aabb_lower, Vec3f, 1, shape_count, "m", "shape",                                        \
     "lower corner of the shape's box, without margin")                                            \
   X(shape_aabb_upper, Vec3f, 1, shape_count, "m", "shape",                                        \
     "upper corner of the shape's box, without margin")                                            \
   X(shape_mesh_range, int32_t, 4, shape_count, "", "",                                            \
-    "of a mesh or hull: first vertex, vertices, first triangle, triangles; else zeros")           \
+    "mesh or hull: first vertex, vertex count, first triangle, triangle count; else 0")           \
   X(mesh_vertices, Vec3f, 1, mesh_vertex_count, "m", "shape",                                     \
-    "vertices of meshes and hulls, before shape_scale; shapes of one mesh share them")            \
+    "vertices of meshes and hulls, before shape_scale; shapes with the same mesh share them")     \
   X(mesh_indices, Vec3i, 1, mesh_triangle_count, "", "",                                          \
-    "their triangles, counter-clockwise seen from outside, counted from the first vertex of "     \
-    "the mesh")                                                                                   \
+    "triangles of meshes and hulls, counter-clockwise seen from outside, relative to the first "  \
+    "vertex of the mesh")                                                                         \
   NOVAPHY_MODEL_JOINT_FIELDS(X)                                                                   \
   NOVAPHY_MODEL_ACTUATOR_FIELDS(X)                                                                \
   NOVAPHY_MODEL_FLUID_FIELDS(X)                                                                   \
@@ -232,10 +232,10 @@ NOVAPHY_DECLARE_FIELDS(ModelFields, NOVAPHY_MODEL_FIELDS, ModelCounts)
   X(soft_contact_kd, 10.0f, false, "N*s/m", "contact damping")                                    \
   X(soft_contact_kf, 1.0e3f, false, "N*s/m", "friction below the Coulomb limit")                  \
   X(soft_contact_mu, 0.5f, false, "1", "Coulomb friction")                                        \
-  X(soft_contact_restitution, 0.0f, false, "1", "stored for Newton's sake; no force uses it")     \
+  X(soft_contact_restitution, 0.0f, false, "1", "stored, as in Newton; no force uses it")         \
   X(particle_adhesion, 0.0f, false, "m",                                                          \
-    "a soft contact acts up to this distance between the surfaces")                               \
-  X(particle_max_velocity, 1.0e5f, true, "m/s", "faster particles are slowed down to it")         \
+    "largest distance of two surfaces at which a soft contact acts")                              \
+  X(particle_max_velocity, 1.0e5f, true, "m/s", "limit of the speed of particles")                \
   X(particle_max_radius, 0.0f, false, "m", "the largest particle_radius when the model was made")
 // clang-format on
 

@@ -19,7 +19,7 @@ class Model;
   X(particle_qd, Vec3f, 1, particle_count, "m/s", "world", "particle velocities",                 \
     Carried)                                                                                      \
   X(particle_f, Vec3f, 1, particle_count, "N", "world",                                           \
-    "particle forces: what the user applies before a step; after it also the forces that the "    \
+    "particle forces: before a step the external forces; after a step also the forces that the "  \
     "solver added", Applied)                                                                      \
   X(body_q, Transformf, 1, body_count, "m, 1", "world",                                           \
     "poses of the body origins: position, quaternion xyzw", Carried)                              \
@@ -28,8 +28,8 @@ class Model;
   X(body_f, SpatialVectorf, 1, body_count, "N, N*m", "world",                                     \
     "force, then moment about the center of mass", Applied)                                       \
   X(body_sleep, Vec2i, 1, body_count, "", "",                                                     \
-    "for solvers with sleep: the time (us) that a body has been slow, negative while it "         \
-    "sleeps; then the first body of the island that fell asleep with it", Carried)                \
+    "time (us) for which the body has been slow, negative while it sleeps; then the first body "  \
+    "of its island, if it sleeps", Carried)                                                       \
   X(joint_q, float, 1, joint_coord_count, "m or rad", "joint", "joint coordinates",               \
     Carried)                                                                                      \
   X(joint_qd, float, 1, joint_dof_count, "m/s or rad/s", "joint", "joint velocities", Carried)    \

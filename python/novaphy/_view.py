@@ -197,7 +197,7 @@ def control_ranges(model: _core.Model) -> Iterator[tuple[str, float, float]]:
 def joint_ranges(model: _core.Model) -> Iterator[tuple[int, str, float, float]]:
     """Yield the row of joint_q, name and range (rad, m) of every coordinate with a slider.
 
-    Coordinates of quaternions have none (see ball_ranges).
+    Coordinates of quaternions have no slider of this kind (see ball_ranges).
     """
     labels, axes = model.joint_label, model.joint_dof_dim.numpy()
     rows, dofs = model.joint_q_start.numpy(), model.joint_qd_start.numpy()

@@ -90,7 +90,7 @@ void bind_operators(py::module_& m) {
         &diff::integrate_particles_with_static_contacts_generated, "model"_a, "particle_q"_a,
         "particle_qd"_a, "particle_f"_a, "soft_contact_margin"_a, "dt"_a, release_gil(),
         "Computes eval_static_particle_shape_contact_forces_generated and "
-        "integrate_particles_generated in one kernel. Returns (q, qd), with the same bits.");
+        "integrate_particles_generated in one kernel. Returns (q, qd), as two calls.");
   m.def("integrate_rigid_bodies_with_static_contacts_generated",
         &diff::integrate_rigid_bodies_with_static_contacts_generated, "model"_a, "body_q"_a,
         "body_qd"_a, "body_f"_a, "angular_damping"_a, "friction_smoothing"_a, "dt"_a,
@@ -217,10 +217,10 @@ void bind_trajectory(py::module_& m) {
             return t.state(k < 0 ? k + t.steps() + 1 : k);
           },
           "t"_a, py::return_value_policy::reference_internal,
-          "Returns state t. IndexError: t is out of range. RuntimeError: state t is not kept.")
+          "Returns state t. IndexError: t is out of range. RuntimeError: state t is not stored.")
       .def("recompute", &Trajectory::recompute, "t"_a, release_gil(), doc::kRecompute)
       .def_property_readonly("checkpoint_interval", &Trajectory::checkpoint_interval,
-                             "Every how many steps a state is kept; 1: all states are kept.")
+                             "The number of steps between stored states; 1: all are stored.")
       .def_property_readonly(
           "kept_steps",
           [](const Trajectory& t) {
@@ -229,7 +229,7 @@ void bind_trajectory(py::module_& m) {
               if (t.keeps(k)) kept.append(k);
             return kept;
           },
-          "The indices of the kept states, in the order of the rows of arrays like particle_q.")
+          "The indices of the stored states, in the order of the rows of arrays like particle_q.")
       .def_property_readonly("steps", &Trajectory::steps,
                              "The number of steps, which is the number of states minus 1.")
       .def_property_readonly(

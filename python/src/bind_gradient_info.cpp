@@ -76,14 +76,14 @@ constexpr std::pair<const char*, const char*> kFields[] = {
     {"ended", "The number of contacts that ceased to push from one step to the next."},
     {"turned", "The number of contacts that changed between sticking and slipping."},
     {"several",
-     "With gradients of the motion: the number of steps in which several pairs, or several "
-     "points of a pair, hit at once. With springs: the number of short touches of several "
+     "With gradients of the motion: the number of steps in which several pairs, or several points "
+     "of a pair, hit at once. With penalty contacts: the number of short touches of several "
      "contacts at once."},
     {"one_sided",
-     "With gradients of the motion: the number of events that the end of the steps cuts, and "
-     "of those of articulations within three steps of it. With springs: the number of short "
+     "With gradients of the motion: the number of events that last beyond the final step, and of "
+     "events of articulations in the final three steps. With penalty contacts: the number of short "
      "touches whose begin or end is outside of the steps, or that a written state or another dt "
-     "cuts."},
+     "interrupts."},
     {"ramp_steps",
      "With gradients of the motion and penalty contacts: the number of steps in which a "
      "contact is at most half a step from its begin or end."},
@@ -91,28 +91,30 @@ constexpr std::pair<const char*, const char*> kFields[] = {
      "With gradients of the motion: the number of contacts of articulations that begin without "
      "a bounce."},
     {"phased",
-     "The number of landings whose friction turns. The states after such a landing depend on the "
-     "time in its step at which the contact begins."},
+     "The number of landings whose friction changes its direction. The states after such a landing "
+     "depend on the time within the step at which the contact begins."},
     {"searched",
-     "With gradients of the motion: the number of steps in which contacts of curved shapes "
-     "land or hold. Their normal comes from a search, with an error that 1 / dt amplifies."},
-    {"lost_events", "The number of events for which a device had no room; 0 on the CPU."},
+     "With gradients of the motion: the number of steps in which contacts of curved shapes land or "
+     "rest. The normal of such a contact comes from an iterative search, with an error that 1 / dt "
+     "amplifies."},
+    {"lost_events", "The number of events that did not fit into the memory on a device; 0 on the "
+                    "CPU."},
     {"least_approach",
      "The smallest approach speed of the events in event_list (m/s, rad/s); inf without an event."},
     {"least_separation",
      "The smallest number of steps between two events of the same articulation or body; inf "
      "without two events."},
     {"steps_per_contact",
-     "For how many steps the stiffest contact of DiffSemiImplicitSolver pushes: "
-     "pi / (dt sqrt(stiffness / mass)). inf without a pushing contact, on a device, and with "
+     "The number of steps for which the stiffest contact of DiffSemiImplicitSolver pushes: pi / "
+     "(dt sqrt(stiffness / mass)). inf without a pushing contact, on a device, and with "
      "checkpoints or enable_static_contacts."},
     {"event_list",
      "With gradients of the motion: a dict for each contact or joint limit that begins, in the "
      "last consecutive steps or on a tape, by time. docs/conventions.md lists the keys."},
     {"residual", "The largest residual of the contact law, relative to the largest impulse (1)."},
     {"h_drift",
-     "With gradients of the motion of articulations, after backward: a check of the gradient. "
-     "H is the gradient by the state times the rate of the state, which steps without events keep. "
+     "With gradients of the motion of articulations, after backward: a check of the gradient. H is "
+     "the gradient by the state times the rate of the state, which steps without events conserve. "
      "The drift is the largest change of H in such a step, relative to the largest |H| (1). None: "
      "backward has not run. docs/conventions.md has the law."},
     {"h_step", "The index of the step with h_drift; None without h_drift."},

@@ -30,15 +30,17 @@ void bind_members(py::class_<ShapeConfig>& c) {
   NOVAPHY_MEMBER(kd, "The contact damping (N*s/m).")
   NOVAPHY_MEMBER(kf, "The viscous friction coefficient below the Coulomb limit (N*s/m).")
   NOVAPHY_MEMBER(ka,
-                 "The adhesion distance of rigid contacts (m). An error in models without bodies.")
+                 "The adhesion distance of rigid contacts (m). Models without bodies refuse it.")
   NOVAPHY_MEMBER(mu, "The coefficient of Coulomb friction (1).")
   NOVAPHY_MEMBER(restitution,
                  "The coefficient of restitution (1), for \"pgs\" contacts of SolverFeatherstone. "
                  "Other solvers raise an error unless the value is the default.")
   NOVAPHY_MEMBER(mu_torsional,
-                 "Stored. Solvers refuse all values but the default, because no force uses it.")
+                 "The value is stored, and no force uses it. Solvers refuse all values except the "
+                 "default.")
   NOVAPHY_MEMBER(mu_rolling,
-                 "Stored. Solvers refuse all values but the default, because no force uses it.")
+                 "The value is stored, and no force uses it. Solvers refuse all values except the "
+                 "default.")
   NOVAPHY_MEMBER(
       margin,
       "The distance by which the surface is moved outwards for contacts with shapes (m). For "

@@ -161,7 +161,7 @@ void bind_diff_vbd(py::module_& solvers) {
       .def("clear_gradient_info", &DiffSolverVBD::clear_gradient_info,
            "Resets the counts of gradient_info.")
       .def("reset", &DiffSolverVBD::reset, release_gil(),
-           "Clears the velocity that initial_guess=\"adaptive\" keeps between steps. The call may "
+           "Clears the velocity that initial_guess=\"adaptive\" stores between steps. The call may "
            "be captured.")
       .def(
           "step",
@@ -294,10 +294,10 @@ void bind_steps(py::class_<SolverVBD, SolverBase>& solver) {
           },
           "Returns float32 {joint_count, 6}: the force (N) and the moment (N m) of each joint on "
           "its child at the end of the last step, in the world frame. The force acts at the "
-          "child's anchor. Joints without rows have zeros, for example FREE and disabled joints. "
-          "Error: no step ran since the solver was made or reset.")
+          "child's anchor. Joints without constraints, such as FREE joints and disabled joints, "
+          "have zeros. Error: no step ran since the solver was made or reset.")
       .def("reset", &SolverVBD::reset,
-           "Clears what initial_guess=\"adaptive\" and residual() keep of the last step.");
+           "Clears the data of the last step that initial_guess=\"adaptive\" and residual() use.");
 }
 
 }  // namespace

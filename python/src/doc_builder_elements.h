@@ -126,7 +126,8 @@ merged. Contacts of a mesh with other shapes are found on the CPU only.
 vertices: positions (n, 3) (m), or a flat array.
 indices: the vertices of the triangles (m, 3), or a flat array, counter-clockwise as seen from
 outside.
-mesh: an object with the attributes vertices and indices, used in their place.
+mesh: an object with the attributes vertices and indices, which replace the arguments of the same
+names.
 scale: one factor, or a factor for each of x, y and z, > 0.
 
 On a body, a mesh with a density > 0 must be closed, because the mass is the integral over its
@@ -140,10 +141,10 @@ inline constexpr char kAddShapeHull[] =
     R"(Adds the convex hull of points as a shape and returns its index.
 
 vertices: positions (n, 3) (m).
-mesh: an object with the attribute vertices, used in its place.
+mesh: an object with the attribute vertices, which replaces the argument of the same name.
 scale: one factor, or a factor for each of x, y and z, > 0.
-max_vertices: 4 to 64. A hull with more vertices keeps only this many, the farthest ones. The mass
-is that of the hull of all points, which is a little larger.
+max_vertices: 4 to 64. A hull with more vertices keeps only the farthest max_vertices vertices. The
+mass is that of the hull of all points, which is slightly larger.
 
 ValueError: there are fewer than 4 points, all points are in one plane, or a position is not
 finite.)";

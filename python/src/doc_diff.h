@@ -46,9 +46,9 @@ inline constexpr char kTrajectoryInit[] =
 
 steps: the number of steps, >= 0.
 requires_grad: True: gradients of the states are computed.
-checkpoint: None: all states are kept in memory. A number k: every k-th state and the last state are
-kept, and backward computes the steps between two kept states again, with the same bits. A text such
-as "64MiB": the smallest k whose kept states fit in this memory.
+checkpoint: None: all states are stored. A number k: only every k-th state and the last state are
+stored, and backward recomputes the steps between two stored states, with the same bits. A text such
+as "64MiB": the smallest k whose stored states fit in this memory.
 
 ValueError: steps < 0, an interval < 1, or no interval fits in the memory.)";
 
@@ -69,7 +69,7 @@ body_forces: {b, 6} or {steps, b, 6}, added to body_f: force (N) and moment abou
 targets: {k, 3} or {steps, k, 3} (m, world frame): positions of the k kinematic particles at the end
 of a step, for SolverVBD and DiffSolverVBD. NotImplementedError: another solver.
 pipeline: a CollisionPipeline, which finds the contacts of each step, instead of `contacts`.
-start, stop: the first state, which must be a kept state, and the last state; None: the end.
+start, stop: the first state, which must be a stored state, and the last state; None: the end.
 joint_f, joint_target_qd: {dofs} or {steps, dofs}, in place of the arrays of the control.
 joint_target_q: {coordinates} or {steps, coordinates}, in place of the array of the control.
 ctrl: {actuators} or {steps, actuators}, in place of the array of the control.
@@ -107,7 +107,7 @@ Gradients are exact for positions, velocities, forces, masses, radii, gravity, c
 activations, and for materials, rest lengths and rest angles of elements. Points and normals of
 contacts are frozen, with two exceptions. Contacts between bodies are exact if collide found them
 from the state of the step (see diff.rigid_contact_gradient_labels). Contacts of particles are exact
-if the pipeline of a rollout finds them, but for hulls, meshes and finite planes.
+if the pipeline of a rollout finds them, except on hulls, meshes and finite planes.
 
 A step adds the forces of elements and contacts to state_in.particle_f. Call clear_forces() before
 state_in is used for another step.)";
@@ -124,11 +124,11 @@ A step with a longer dt gives a RuntimeWarning (once) if springs or dampers cert
 ValueError: the state or the contacts belong to another model.)";
 
 inline constexpr char kRecompute[] =
-    R"(Returns a copy of state t. If state t is not kept, it is computed again from the last kept
-state before t.
+    R"(Returns a copy of state t. If state t is not stored, the call recomputes the state from the
+last stored state before t.
 
-RuntimeError: no rollout has run. RuntimeError: the next kept state comes out with other bits,
-because an input of the rollout was changed.)";
+RuntimeError: no rollout has run. RuntimeError: the recomputed steps do not reproduce the next
+stored state, because an input of the rollout was changed.)";
 
 inline constexpr char kKfBound[] =
     R"(The largest allowed kf dt / m (1) of a contact of a particle: kf is the friction coefficient

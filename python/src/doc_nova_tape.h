@@ -13,11 +13,11 @@ last clear_gradient_info of the solver.
 `novaphy.Error`: the tape has no step of a differentiable solver, or backward has not run.)";
 
 inline constexpr char kBackward[] =
-    R"(Computes the gradients of `loss`. Gradients of leaves accumulate over calls, all others start
-anew.
+    R"(Computes the gradients of `loss`. Gradients of leaves accumulate over calls. All other
+gradients are computed anew.
 
 grad: the gradient of `loss`, of its shape. None: 1, for a loss with one value.
-record: keep what adjoint_record() returns. The record needs memory for each step.
+record: whether to store the data of adjoint_record(). The record needs memory for each step.
 
 ValueError: a loss that is not on the tape, or of several values without `grad`.
 NotImplementedError: `record` on a device, inside of a ScopedCapture, with checkpoints of

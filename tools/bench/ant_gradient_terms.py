@@ -4,8 +4,8 @@
 A frozen gradient treats contact points, normals and other terms as constant. Each row adds exact
 terms to the gradient by the eight biases of demo_diffsim_ant_walk.py. The row has the cosine and
 the ratio of norms with central differences of simulated rollouts, over H frames that begin with
-walking Ants. No adjoint includes that contacts begin and end. The last rows therefore use only the
-starts whose sixteen displaced rollouts have the same pushing contacts in every step.
+walking Ants. No adjoint includes the begin and end of contacts. The last rows therefore use only
+initial states whose sixteen displaced rollouts have the same pushing contacts in every step.
     python tools/bench/ant_gradient_terms.py
     python tools/bench/ant_gradient_terms.py --page      # the table of the guide
 """
@@ -77,7 +77,7 @@ def differences(tuning: demo.Tuning, eps: float) -> tuple[np.ndarray, np.ndarray
 
 
 def agreement(ad: np.ndarray, fd: np.ndarray) -> str:
-    """Return as text the cosine and the ratio of norms of the means over the starts."""
+    """Return the cosine and the ratio of norms of the means over the starts, as text."""
     if not len(ad):
         return "–"
     ad, fd = ad.mean(axis=0), fd.mean(axis=0)

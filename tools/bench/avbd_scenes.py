@@ -6,10 +6,10 @@ slide: a box slides until it stops. Prints the distance relative to v^2/(2 mu g)
     1/120 and 1/240 s.
 chain: 10 or 40 links without contacts hang from the world and start level. The last link may be
     100 times as heavy. Prints the largest gap of a joint, and the energy above that of the start.
-sheet: a box meets a free sheet of 0.34 kg, without gravity. Prints the momentum that is lost over
-    the momentum handed over. Only SolverVBD.
-hammock: a ball of 5 kg falls into a sheet with two fixed borders. Prints the force of its contacts
-    over its weight after 2 s, and its speed. Only SolverVBD.
+sheet: a box meets a free sheet of 0.34 kg, without gravity. Prints the lost momentum relative to
+    the transferred momentum. Only SolverVBD.
+hammock: a ball of 5 kg falls into a sheet with two fixed borders. Prints the contact force relative
+    to the ball's weight, and the ball's speed, after 2 s. Only SolverVBD.
 
 Each scene and solver prints a JSON line with the median time of a step (us), without the search for
 contacts.

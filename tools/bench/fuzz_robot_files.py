@@ -4,10 +4,10 @@
 
 FOLDER has one folder for each collection, as for robot_files.py. Each round takes a file of at most
 100 kB, and changes it in one to four places: numbers, attributes, elements, bytes, names of files,
-includes, ends. Then it reads the file beside its meshes.
+includes, ends. Then the program reads the changed file in the folder of its meshes.
 
-Prints the number of files that were read, refused with a place in the file, and refused without
-one. Faults are a crash, more than 30 s, more than 4 GiB of memory, and an opened file outside of
+Prints the number of files that were read, refused with a line number, and refused without a line
+number. Faults are a crash, more than 30 s, more than 4 GiB of memory, and an opened file outside of
 the folders. The program prints the rounds of faults, and then exits with 1. Linux only.
 """
 

@@ -7,8 +7,8 @@
 Each scene runs with one thread and with two, and with every instruction set of the processor. All
 hashes must be the same. With --device cuda:0, scenes that support devices run on that device
 instead. A line of the file has the scene, the name of the hashed array, and the hash. "inputs" is
-the hash of a scene's initial values. If it differs, NumPy computed other values, and the engine is
-not the cause.
+the hash of a scene's initial values. If this hash differs, NumPy computed other values, and the
+engine is not the cause.
 """
 
 from __future__ import annotations

@@ -22,15 +22,15 @@ Modes:
   effect, but runs over 1,000 empty slots in every substep.
 
 Each measurement prints one JSON line. `first_s` is the time from the start of building the model to
-the end of the first iteration. It includes the capture and the loading of the kernels (with
-`--cold`: their compilation). Later measurements in the same process find the kernels loaded. The
-initial velocity is then restored, and `iterations` iterations are timed one by one.
+the end of the first iteration. This time includes the capture and the loading of the kernels (with
+`--cold`: the compilation of the kernels). Later measurements in the same process find the kernels
+loaded. The initial velocity is then restored, and `iterations` iterations are timed one by one.
 
 `loss` and `result_hash` are those of the last iteration. The hash is the first 16 hex digits of the
 SHA-256 of the final `particle_q` and the gradient with respect to the initial velocity (float32
-bytes). The loss of N > 1 balls is one float32 sum over all balls. It is inexact for large N (0.1 %
-at N = 100,000) and may vary between runs on a GPU. The gradient and the hash do not depend on the
-loss.
+bytes). The loss of N > 1 balls is one float32 sum over all balls. The sum is inexact for large N
+(0.1 % at N = 100,000) and may vary between runs on a GPU. The gradient and the hash do not depend
+on the loss.
     pip install newton==1.8.0 warp-lang==1.19.0
     python tools/bench/newton_ball.py --n 1 10 1000 --mode captured --iterations 20
 """

@@ -3,10 +3,10 @@
 
 Makes a virtual environment for each peer under build/ (from the package index, once). Then runs the
 programs of this folder in turn, each measurement in a separate process. Before any timing, the loss
-of the first iteration of one ball must have the same bits in Newton and in all modes of NovaPhy. In
-JAX and Dr.Jit it must be the same within 1e-5. Also measures the copy bandwidth of the machine, the
-operations of the rollout, the instructions of an iteration (if valgrind is installed), the start-up
-time of a fresh process, and the memory of a rollout.
+of the first iteration of one ball must have the same bits in Newton and in all modes of NovaPhy.
+The losses of JAX and Dr.Jit must agree within 1e-5. Also measures the copy bandwidth of the
+machine, the operations of the rollout, the instructions of an iteration (if valgrind is installed),
+the start-up time of a fresh process, and the memory of a rollout.
 
 A measurement that needs more memory than is free is left out, and the table says so. With `--slow`
 the same holds for measurements that would take longer than this many seconds for an iteration.

@@ -29,7 +29,7 @@ class Margin(NamedTuple):
 
 
 class Trust(NamedTuple):
-    """How far each event is from its appearance or end (ascending), and the step that is safe."""
+    """The moves that change an event (ascending), and the largest move that changes no event."""
 
     margins: list[Margin]
     radius: float | None  # sigmas downhill; inf: no event limits the move, None: unknown

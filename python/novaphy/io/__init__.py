@@ -26,7 +26,8 @@ __all__ = [
 
 @contextlib.contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary path beside `path`. At the end of the block it replaces `path`.
+    """Yield a temporary path beside `path`. At the end of the block the temporary file replaces
+    `path`.
 
     The temporary name has the same extension. After an exception the temporary file is removed, and
     an existing file at `path` stays unchanged.

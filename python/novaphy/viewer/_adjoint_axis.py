@@ -72,7 +72,7 @@ class AdjointAxis:
         return coverage
 
     def select(self, column: float) -> None:
-        """Select the step of a suspect or event near a pixel column, else the column's own step."""
+        """Select the step of a suspect or event near a pixel column, else the column's step."""
         marks = [*self.record.suspects, *self.record.info.event_list]
         near = [m["step"] for m in marks if abs(self._column(self._time_of(m)) - column) <= NEAR]
         time = self._even()[round(min(max(column, 0.0), SIZE[1] - 1.0))]

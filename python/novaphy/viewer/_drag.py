@@ -83,7 +83,7 @@ class Drag:
         return np.asarray(camera.pos + ray * (self.depth / (ray @ camera.forward)))
 
     def nearest_to_middle(self) -> int | None:
-        """Return the number of the candidate nearest to the center of the image; None: no one."""
+        """Return the index of the candidate nearest to the image's center; None: no candidate."""
         found = self.candidates()
         if not found:
             return None
@@ -91,7 +91,7 @@ class Drag:
         return int(np.argmin([np.linalg.norm(place - target) for _, _, place in found]))
 
     def look_at(self, number: int) -> None:
-        """Set the camera's target to the candidate of this number."""
+        """Set the camera's target to the candidate with this index."""
         found = self.candidates()
         if number < len(found):
             self.viewer.camera.target = np.asarray(found[number][2], np.float64)

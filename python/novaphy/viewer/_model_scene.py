@@ -1,4 +1,4 @@
-"""Converts a model and its states to a scene. Only this file of the viewer knows physics.
+"""Converts a model and its states to a scene. Other modules of the viewers use no model.
 
 The input is arrays, so that a recording can be shown without the model.
 """

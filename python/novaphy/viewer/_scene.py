@@ -1,7 +1,7 @@
 """The scene of a viewer: named objects that stay until they are replaced or removed.
 
-This module knows neither physics nor a graphics library. Every array of an object has a revision,
-so that a viewer uploads, sends or writes only what has changed.
+This module depends neither on physics nor on a graphics library. Every array of an object has a
+revision, so that a viewer uploads, sends or writes only what has changed.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-// Internal: penetration of convex hulls by FCL's libccd solver, in double precision. Other builds
-// than those with NOVAPHY_WITH_FCL never make a hull.
+// Internal: penetration of convex hulls by FCL's libccd solver, in double precision. Builds without
+// NOVAPHY_WITH_FCL make no hull of FCL.
 //
 // The only call is GJKSolver_libccd::shapeIntersect on Convex. FCL's signed distance and planes
 // abort the process for some poses. The call may throw, which counts as no result, and may return a

@@ -2,7 +2,7 @@
 //
 //   begin()          finds the bodies that sleep in the state
 //   wake_touched()   wakes bodies that touch moving bodies
-//   wake_forced()    wakes bodies under forces that the contact search does not know, as of joints
+//   wake_forced()    wakes bodies under forces other than contact forces, such as joint forces
 //   end()            counts the rest time of slow bodies, and puts islands to sleep
 #pragma once
 

@@ -1,4 +1,4 @@
-// Bindings that are split from the file of their library into separate files.
+// Functions that add bindings to a Python module. Each function is in a file of its own.
 #pragma once
 
 #include <pybind11/pybind11.h>

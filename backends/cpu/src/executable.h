@@ -1,6 +1,6 @@
-// A Program on the CPU, as two instruction lists over plain numbers. The block form runs each
-// instruction over a block of lanes (rows). The scalar form runs one row at a time, for launches of
-// very few rows.
+// A Program on the CPU, as two instruction lists whose operands are plain integers. The block form
+// runs each instruction over a block of lanes (rows). The scalar form runs one row at a time, for
+// launches of very few rows.
 //
 // Translation units for one instruction set include this header. The header must not include any
 // inline function of a library: the linker could keep a copy that only a newer processor can run.

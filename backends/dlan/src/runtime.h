@@ -1,7 +1,7 @@
 // Adapts a run-time library with CUDA's interface to the driver table (driver.h).
 //
-// The list has CUDA's names of functions, because Denglin's library has not been tested. A file can
-// replace the names.
+// The table below uses CUDA's function names, because Denglin's library has not been tested. A file
+// can replace the names.
 #pragma once
 
 #include <string>

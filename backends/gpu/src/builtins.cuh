@@ -1,4 +1,4 @@
-// The builtins of <novaphy/abi/program.h>. The text follows device_prelude.cuh.
+// The builtins of <novaphy/abi/program.h>. The build appends this source to device_prelude.cuh.
 #define BUILTIN VENDOR_ENTRY
 
 // Sums the rows of one column from +0, by the row-sum rule of program.h for long rows: chunks of

@@ -1,4 +1,4 @@
-// The text of device code: the prelude, and the text that the emitter writes for a Program.
+// The source of device code: the prelude, and the source that the emitter writes for a Program.
 #pragma once
 
 #include <string>

@@ -1,6 +1,7 @@
 // The interpreter of Programs, for devices whose code cannot be compiled. A thread per row runs the
-// instructions of interpreter.h on words in memory. The text follows device_prelude.cuh and the
-// names of the operations. The arithmetic is that of emitted code, by the same functions.
+// instructions of interpreter.h on words in memory. The build appends this source to
+// device_prelude.cuh and the names of the operations. The arithmetic calls the same functions as
+// emitted code.
 #define kInterpretedWords 500
 struct interpreter_arguments {
   uint64_t word[kInterpretedWords];

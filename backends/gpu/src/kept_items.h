@@ -1,6 +1,6 @@
-// Sources that a fused list can load before its loop over the items of a CSR sum, such as the
-// contacts of a particle. The source must be read at the item, or at a row whose index is read at
-// the item from another source.
+// Input arrays (sources) that a fused list can load before its loop over the items of a CSR sum. An
+// example of items are the contacts of a particle. A Program must read the source at the item, or
+// at a row whose index another source has at the item.
 #pragma once
 
 #include <cstdint>

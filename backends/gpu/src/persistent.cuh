@@ -1,6 +1,6 @@
-// A persistent kernel: phases of chains as one launch, with a barrier after each phase. This text
-// follows device_prelude.cuh. The Programs, and run_chain with the forms of the chains, come later.
-// A table has a record for each phase:
+// A persistent kernel: phases as one launch, with a barrier after each phase. A chain is a sequence
+// of operations on the same rows. Chains with the same code have the same form. device_prelude.cuh
+// comes before this file, the Programs and run_chain after it. A table has a record for each phase:
 //   words of the next record << 32 | its first word   warps << 32 | rows of a warp << 16 | chains
 //   per chain: its first warp << 32 | rows       form << 32 | the first word of its arguments
 //   the arguments; before those of a Program, the number of the kernel

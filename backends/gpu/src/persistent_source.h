@@ -1,4 +1,4 @@
-// A persistent kernel as text and table; persistent.cuh describes how it runs.
+// The source and the table of a persistent kernel. persistent.cuh describes how the kernel runs.
 #pragma once
 
 #include <cstdint>

@@ -1,4 +1,4 @@
-// Internal to the emitter: the order of lines.
+// Internal to the emitter: the order of the generated lines.
 #pragma once
 
 #include "emit_plan.h"

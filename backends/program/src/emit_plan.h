@@ -1,4 +1,4 @@
-// Internal to the emitter: the analysis of a Program before its text is written.
+// Internal to the emitter: the analysis of a Program before its source is written.
 #pragma once
 
 #include <vector>

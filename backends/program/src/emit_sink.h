@@ -1,4 +1,5 @@
-// Internal to the emitter: moves work that only a rarely taken region of a CSR loop needs.
+// Internal to the emitter: moves arithmetic into the one rarely taken region of a CSR loop that
+// uses its result.
 #pragma once
 
 #include <vector>

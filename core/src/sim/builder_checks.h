@@ -1,5 +1,5 @@
 // The checks that ModelBuilder makes in add_* and again in finalize. Each check throws
-// ErrorKind::Value with a message that names the argument, what was expected and what came.
+// ErrorKind::Value with a message that names the argument, the expected value and the given value.
 #pragma once
 
 #include <cmath>

@@ -1,6 +1,6 @@
-// ActiveContacts: the contacts that push one articulation in a step of SolverFeatherstone, and the
-// projection that keeps the velocities along their normals. Used by sensitivities with frozen
-// dynamics.
+// ActiveContacts: the contacts that push one articulation in a step of SolverFeatherstone. The file
+// also has the projection onto the rates that do not change the velocities along the contact
+// normals. ControlSensitivity with frozen dynamics uses both.
 #pragma once
 
 #include <vector>

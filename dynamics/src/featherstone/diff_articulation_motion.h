@@ -11,8 +11,8 @@
 // of all steps of the event. Its adjoint, for y = D^T p:
 //   s = y . f- - p . f+,  and the gradient by q gets s J_n / |J_n v|.
 // A joint limit may begin or end to push, in a tree without contacts. The step then changes from
-// the map F_A to the map F_B where a number g(x) changes its sign. A displacement of x changes the
-// number of steps of each kind by a fraction:
+// the map F_A to the map F_B where a function g(x) changes its sign. A displacement of x changes
+// the number of steps of each kind by a fraction:
 //   dx + (F_B(x) - F_A(x)) (dg . dx) / (dg . (F_A(x) - x)),  then D of F_B
 // A change of the limit itself adds a part to J_n dq and to dg . dx.
 // Source: the saltation matrix of hybrid systems; Kong, Payne, Zhu, Johnson, Saltation Matrices

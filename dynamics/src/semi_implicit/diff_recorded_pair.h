@@ -1,5 +1,6 @@
 // RecordedPair: a pair of shapes in a step of the current AdjointRecord, for touches whose times
-// move. The record computes what a pair carries by tangents in which the pair has no effect
+// move. The carried value of a pair is the part of the derivative that goes through the pair. The
+// record computes carried values from tangents without the effect of the pair
 // (diff_noted_springs.h). The effect of the moved times goes to the pair's row in the step, or in
 // the step before or after it.
 #pragma once

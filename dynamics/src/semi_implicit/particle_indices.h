@@ -1,5 +1,5 @@
-// The check of the corners of elements, for the CPU solver and before kernels run. A kernel reads a
-// row that does not exist as zeros, and thus would not report it.
+// The check of the corners of elements, for the CPU solver and before kernels run. A kernel reads
+// zeros at an index that is out of range, so it cannot report the error.
 #pragma once
 
 #include <cstddef>

@@ -1,5 +1,6 @@
-// Divides rows into parts that have few needs in common. The rows are points of a mesh, and their
-// needs are the elements that touch them. Neighboring points have needs in common.
+// Divides rows into parts that share few inputs ("needs" in the code). The rows are points of a
+// mesh, and the inputs of a point are the elements that touch the point. Neighboring points share
+// inputs.
 #pragma once
 
 #include <cstdint>

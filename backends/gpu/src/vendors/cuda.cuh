@@ -1,5 +1,5 @@
 // CUDA's part of device code, and the only file with PTX. This file comes first in every device
-// text. generic.cuh follows and describes the functions.
+// source. generic.cuh follows and describes the functions.
 #define VENDOR_FN static __device__ __forceinline__
 #define VENDOR_ENTRY extern "C" __global__ void
 #define VENDOR_HAS_GRID_CONSTANT

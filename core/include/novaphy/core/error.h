@@ -1,5 +1,5 @@
-// Error: the only exception type that NovaPhy throws. A message names the argument, what was
-// expected and what came.
+// Error: the only exception type that NovaPhy throws. A message names the argument, the expected
+// value and the given value.
 #pragma once
 
 #include <concepts>

@@ -1,6 +1,6 @@
-// LaunchList: the launches of a step. A solver makes the list once, and again when the objects
-// behind the list change. A step sets the arguments that differ, and runs the list or a range of
-// it. The CPU runs the launches as phases of one call of its threads. A device enqueues the
+// LaunchList: the launches of a step. A solver makes the list once, and again when the model or the
+// contacts of the list change. A step sets the arguments that differ, and runs the list or a range
+// of it. The CPU runs the launches as phases of one call of its threads. A device enqueues the
 // launches. A thread that records submits the launches to its recorder.
 //
 //   LaunchList list(device);

@@ -1,4 +1,4 @@
-// core's Trajectory under a name in novaphy::diff.
+// novaphy::diff::Trajectory, an alias of core's Trajectory.
 #pragma once
 
 #include "novaphy/core/sim/trajectory.h"

@@ -1,5 +1,5 @@
-// The stored values of a particle's contact in a step (elements/list.h), computed from the record
-// in Contacts and from the materials.
+// The coefficients of a particle's contact for a step (elements/list.h), computed from a contact in
+// Contacts and from the materials.
 //
 // Freestanding (no standard headers), because device code includes this header.
 #pragma once

@@ -1,15 +1,15 @@
-// Translates a Program to C text that a compiler turns into native code, and that users can read.
+// Translates a Program to C source, which a compiler turns into native code and users can read.
 //
-// The text is one function over a range of rows. A lane is one row of a SIMD vector. The text uses
-// names of lane types and functions (vf, vi, vm, load3f, vselect_f, ...), which a header defines
-// for one number of lanes. The header for the host compiler is backends/cpu/src/lanes.h. The same
-// text serves every number of lanes, also one, and always gives the bits of an interpreter of the
-// Program:
-// - Every operation of the Program is one operation of the text, in the order of schedule().
+// The source is one function over a range of rows. A lane is one row of a SIMD vector. The source
+// uses names of lane types and functions (vf, vi, vm, load3f, vselect_f, ...), which a header
+// defines for one number of lanes. The header for the host compiler is backends/cpu/src/lanes.h.
+// The same source works for every number of lanes, including one, and always gives the bits of an
+// interpreter of the Program:
+// - Every operation of the Program is one operation of the source, in the order of schedule().
 //   Nothing is contracted or reassociated.
 // - Values that are the same in every lane are plain C scalars, computed before the rows as far as
 //   possible.
-// - Code that no lane of a group needs is jumped over.
+// - Code that no lane of a group needs is skipped.
 #pragma once
 
 #include <string>

@@ -13,8 +13,8 @@
 //
 // Edges on edges (edges_on_edges), for border edges and convex edges. The normal is perpendicular
 // to both edges and must lie in the normal cones of both. In an overlap each contact point must lie
-// in or on the other mesh. If several contacts at one place have different directions, the one with
-// the smallest overlap is kept (drop_long_ways).
+// in or on the other mesh. If several contacts at one place have different directions, only the
+// contact with the smallest overlap remains (drop_long_ways).
 //
 // Inside and outside are defined as in point_to_mesh: a closed mesh has an inside, and an open mesh
 // has a side behind its triangles. Contacts of vertices push out a part that is deep inside of a

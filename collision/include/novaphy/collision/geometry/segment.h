@@ -1,6 +1,7 @@
 // Nearest points of two segments. The parameter s of the first segment is clamped, and gives the
-// parameter t of the second. Both are then computed again from each other, for the case that t was
-// clamped. Source: C. Ericson, Real-Time Collision Detection (2005), 5.1.9.
+// parameter t of the second. If t was clamped, s is no longer the nearest parameter. The code
+// therefore computes s from t, and t from s, once more. Source: C. Ericson, Real-Time Collision
+// Detection (2005), 5.1.9.
 #pragma once
 
 #include "novaphy/math/types.h"

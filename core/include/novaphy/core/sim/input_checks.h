@@ -1,5 +1,5 @@
-// Checks of states and contacts before a step or a search. Data on other devices than the CPU is
-// not read. NaN passes the checks and appears in the resulting state.
+// Checks of states and contacts before a step or a search. The checks read no data on devices other
+// than the CPU. NaN passes the checks and appears in the resulting state.
 #pragma once
 
 #include "novaphy/core/sim/contacts.h"

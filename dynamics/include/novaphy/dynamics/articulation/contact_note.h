@@ -1,5 +1,5 @@
-// ContactNote: the record of a contact that pushed, with the adjoint of its impulse, in a backward
-// pass. Freestanding.
+// ContactNote: a contact that pushed in a step, with the adjoint of its impulse, as a backward pass
+// records it. Freestanding.
 #pragma once
 
 #include <cstdint>

@@ -5,9 +5,9 @@
 // element (spring.h) describes the element for the solver, and is also the type of its slots. An
 // element whose corners have different laws (hinge.h) has one more struct for each type of slot.
 //
-// A slot stores numbers: the weights of the other corners, the coefficients of the law, and values
-// at the start of the step. The weights and coefficients depend on parameters, which are columns of
-// arrays of Model.
+// A slot stores floats ("numbers" in the code): the weights of the other corners, the coefficients
+// of the law, and values at the start of the step. The weights and coefficients depend on
+// parameters, which are columns of arrays of Model.
 //
 // Freestanding (no standard headers), because device code includes this header. The scalar is a
 // float, SIMD lanes of floats, a dual number (math/dual.h), or a symbolic expression

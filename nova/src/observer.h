@@ -1,4 +1,4 @@
-// Internal: installs an array observer on a thread while a tape or a capture is active there.
+// Internal: observes reads and writes of arrays by a thread on which a tape or a capture is active.
 #pragma once
 
 namespace nova::detail {

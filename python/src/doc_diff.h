@@ -38,7 +38,7 @@ inline constexpr char kTrajectory[] =
     R"(The steps + 1 states of a rollout, contiguous in memory. trajectory[t] is the SimState after
 t steps. State 0 starts with the model's initial values.
 
-All states share the same force arrays. These forces act in every step. Write them through state
+All states share the same force arrays, which act in every step. Write the forces through state
 0.)";
 
 inline constexpr char kTrajectoryInit[] =

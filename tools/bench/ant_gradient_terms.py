@@ -64,10 +64,10 @@ class Watch:
 
 
 def differences(tuning: demo.Tuning, eps: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return central differences of simulated rollouts by the biases, and a mask of the starts.
+    """Return central differences of rollouts with respect to the biases, and a mask.
 
-    The differences have the shape {starts, 8}. The mask is true for starts whose displaced rollouts
-    have the same contacts.
+    The differences have the shape {starts, 8}. The mask is true for initial states whose displaced
+    rollouts have the same contacts.
     """
     ways = tuning.directions()
     moves = eps * np.concatenate([ways, -ways])

@@ -110,7 +110,7 @@ class ClothPenalty(Cloth):
         return penalties(4e2, 0.5, 1.0, 0.4)
 
     def make_solver(self) -> novaphy.solvers.SolverBase:
-        """Make the solver, with the gradients of the mode."""
+        """Make the solver with the task's contact_gradient."""
         self.model.soft_contact_ke, self.model.soft_contact_kd = 4e2, 0.5
         self.model.soft_contact_kf, self.model.soft_contact_mu = 1.0, 0.4
         config = SOLVERS.DiffSolverConfig(

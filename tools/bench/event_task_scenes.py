@@ -99,7 +99,7 @@ class Task:
         return builder.finalize(requires_grad=True)
 
     def make_solver(self) -> novaphy.solvers.SolverBase:
-        """Make the solver, with the gradients of the mode."""
+        """Make the solver with the task's contact_gradient."""
         raise NotImplementedError
 
     def run(self, theta: nova.Tensor) -> nova.Tensor:
@@ -158,7 +158,7 @@ class Penalty(Task):
     solver_name = "semi-implicit"
 
     def make_solver(self) -> novaphy.solvers.SolverBase:
-        """Make the solver, with the gradients of the mode."""
+        """Make the solver with the task's contact_gradient."""
         return SOLVERS.DiffSemiImplicitSolver(
             self.model,
             SOLVERS.DiffSolverConfig(
@@ -181,7 +181,7 @@ class Impulse(Task):
     solver_name = "Featherstone"
 
     def make_solver(self) -> novaphy.solvers.SolverBase:
-        """Make the solver, with the gradients of the mode."""
+        """Make the solver with the task's contact_gradient."""
         return SOLVERS.DiffFeatherstoneSolver(
             self.model, pgs_slop=0.0, pgs_erp=1.0, contact_gradient=self.mode
         )
@@ -233,7 +233,7 @@ class BallParticle(Ball):
         return penalties(1e4, 10.0, 0.0, 0.2)
 
     def make_solver(self) -> novaphy.solvers.SolverBase:
-        """Make the solver, with the gradients of the mode."""
+        """Make the solver with the task's contact_gradient."""
         self.model.soft_contact_ke, self.model.soft_contact_kd = 1e4, 10.0
         self.model.soft_contact_kf, self.model.soft_contact_mu = 0.0, 0.2
         return SOLVERS.DiffSemiImplicitSolver(

@@ -73,7 +73,7 @@ class Running(NamedTuple):
 
 
 def key_of(line: dict[str, Any]) -> tuple[str, str, int, str]:
-    """Return the key of a line."""
+    """Return the key of the run to which a line belongs."""
     return (line["task"], line["solver"], line["start"], line["method"])
 
 

@@ -1,4 +1,4 @@
-// The forces of the contacts of particles in a step of VBD, on the host, for records of gradients.
+// The forces of the contacts of particles in a step of VBD, on the host, for AdjointRecord.
 #pragma once
 
 #include <span>

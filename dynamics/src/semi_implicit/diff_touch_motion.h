@@ -1,4 +1,4 @@
-// TouchMotion::Impl: the touches that have begun and not ended, from step to step (diff_touches.h).
+// TouchMotion::Impl: the touches (diff_touches.h) that began before a step and have not ended.
 #pragma once
 
 #include <algorithm>

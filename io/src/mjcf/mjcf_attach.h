@@ -1,4 +1,4 @@
-// <attach>: adds a body of another file, or its whole world, to this file.
+// <attach>: adds a body of another MJCF file, or its whole world, to the file that has the element.
 #pragma once
 
 #include "mjcf_bodies.h"

@@ -107,7 +107,7 @@ class AdjointAxis:
         return out
 
     def lines(self, row: int) -> list[str]:
-        """Return the lines of text about a boundary: its step, events and contacts."""
+        """Return the lines of text about the start of a step: its number, events and contacts."""
         here = self.record.boundaries[row]
         step, h = here["step"], here["h"]
         lines = [

@@ -1,6 +1,6 @@
 // Launches, and recorders that take launches instead of running them. Libraries change arrays of a
-// device through submit_launch alone. Every launch is therefore ordered, raises versions and can be
-// captured, although the library does not know about captures.
+// device through submit_launch alone. Every launch is therefore ordered, raises the versions of the
+// arrays that it writes, and can be captured. The library needs no code for captures.
 #pragma once
 
 #include <cstdint>

@@ -1,4 +1,4 @@
-// The device sources of this library, which the build compiles ahead of time.
+// The source code of this library's device kernels, which the build compiles ahead of time.
 #pragma once
 
 #include <string>

@@ -12,7 +12,7 @@
 // Reduction (reduce_contacts) selects the deepest point, then the point farthest from the first.
 // The third point gives the largest triangle. The fourth point gives the largest triangle on the
 // other side of the longest edge. Each further point is the farthest from the selected points. If
-// two points are equally good, the smaller feature is selected.
+// two points are equally good, the point with the smaller feature is selected.
 #pragma once
 
 #include "novaphy/math/types.h"

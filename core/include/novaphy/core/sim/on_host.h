@@ -1,4 +1,4 @@
-// OnHost: the rows of an array for reading on the host.
+// OnHost: the rows of an array, readable on the host, with a copy if the array is on a device.
 #pragma once
 
 #include <span>

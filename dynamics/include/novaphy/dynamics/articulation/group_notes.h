@@ -1,4 +1,4 @@
-// The active branches of a group's contacts in a step, for articulation_contact_kernels.h.
+// The contacts of a group that push, stick or slide in a step, for articulation_contact_kernels.h.
 #pragma once
 
 #include "novaphy/dynamics/articulation/active_rows.h"

@@ -109,8 +109,8 @@ class Scheduler {
  public:
   explicit Scheduler(const Program& p) : p_(p), section_(sections(p)), guards_(guards(p)) {
     emitted_.assign(p.instrs.size(), 0);
-    answer_.assign(p.instrs.size(), 0);
-    asked_.assign(p.instrs.size(), 0);
+    memo_.assign(p.instrs.size(), 0);
+    memo_stamp_.assign(p.instrs.size(), 0);
     flatten_small_guards();
   }
 
@@ -181,15 +181,15 @@ class Scheduler {
   }
 
   bool ready_inside(Value v, int32_t section, int32_t guard) {
-    if (asked_[v] == stamp_) return answer_[v];
+    if (memo_stamp_[v] == stamp_) return memo_[v];
     bool result = true;
     for_each_operand(p_.instrs[v], [&](Value o) {
       if (!result || emitted_[o] || section_[o] != section) return;
       result = inside(guards_.guard[o], guard) && ready_inside(o, section, guard) &&
                cond_ready(o, section, guard);
     });
-    asked_[v] = stamp_;
-    answer_[v] = result;
+    memo_stamp_[v] = stamp_;
+    memo_[v] = result;
     return result;
   }
 
@@ -206,8 +206,8 @@ class Scheduler {
   const Program& p_;
   std::vector<int32_t> section_;
   Guards guards_;
-  std::vector<char> emitted_, answer_;
-  std::vector<int> asked_;
+  std::vector<char> emitted_, memo_;
+  std::vector<int> memo_stamp_;
   int stamp_ = 0;
   std::vector<Step> steps_;
 };

@@ -199,7 +199,7 @@ class Lowerer {
 
   // Finds the loop and the skip region around each step.
   void locate_steps() {
-    place_of_.assign(p_.instrs.size(), {-1, -1});
+    scope_of_.assign(p_.instrs.size(), {-1, -1});
     std::vector<std::pair<int32_t, int32_t>> open;  // (end, region)
     int32_t loop = -1;
     for (size_t s = 0; s < steps_.size(); ++s) {
@@ -210,7 +210,7 @@ class Lowerer {
       if (step.kind == ir::Step::Kind::SkipIfNone)
         open.emplace_back(step.target, static_cast<int32_t>(s));
       if (step.kind == ir::Step::Kind::Compute) {
-        place_of_[static_cast<size_t>(step.value)] = {loop, open.empty() ? -1 : open.back().second};
+        scope_of_[static_cast<size_t>(step.value)] = {loop, open.empty() ? -1 : open.back().second};
       }
     }
   }
@@ -249,7 +249,7 @@ class Lowerer {
             p_.instrs[static_cast<size_t>(m)].op != Op::MUL)
           continue;
         const auto k = static_cast<size_t>(m);
-        if (uses_[k] != 1 || uniform_[k] != uniform_[v] || place_of_[k] != place_of_[v]) continue;
+        if (uses_[k] != 1 || uniform_[k] != uniform_[v] || scope_of_[k] != scope_of_[v]) continue;
         joined_[v] = m;
         absorbed_[k] = true;
         break;
@@ -267,7 +267,7 @@ class Lowerer {
           !is_load(p_.instrs[static_cast<size_t>(step.value)].op))
         continue;
       const ir::Instr& in = p_.instrs[static_cast<size_t>(step.value)];
-      const auto& place = place_of_[static_cast<size_t>(step.value)];
+      const auto& place = scope_of_[static_cast<size_t>(step.value)];
       columns[{in.a, resolve(in.b), place.first, place.second}].emplace_back(in.c, step.value);
     }
     groups_at_.resize(p_.instrs.size());
@@ -416,7 +416,7 @@ class Lowerer {
   ValueId next_value_ = 0;
   std::vector<ValueId> alias_;
   std::vector<char> uniform_;
-  std::vector<std::pair<int32_t, int32_t>> place_of_;  // per instruction: loop, region
+  std::vector<std::pair<int32_t, int32_t>> scope_of_;  // per instruction: loop, region
   std::vector<int32_t> uses_;
   std::vector<ValueId> joined_;  // the product merged into an addition
   std::vector<char> absorbed_;   // products merged into an addition

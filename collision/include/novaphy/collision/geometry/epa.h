@@ -97,8 +97,8 @@ inline void set_witness(Penetration& best, const EpaPolytope& poly, const EpaFac
 
 // Tests the direction n. If the cores separate by a shorter distance along n than along the best
 // direction so far, n becomes the best direction.
-inline SupportPoint ask_direction(const ShapePair& pair, const Vec3f& n, Penetration& best,
-                                  bool& better) {
+inline SupportPoint query_direction(const ShapePair& pair, const Vec3f& n, Penetration& best,
+                                    bool& better) {
   const SupportPoint p = support_point(pair, n);
   const float h = math::dot(p.w, n);
   better = h < best.depth;
@@ -145,7 +145,7 @@ NOVAPHY_OUT_OF_LINE bool grow_tetrahedron(const ShapePair& pair, Simplex& s, flo
       found = farthest(unit_axis(i, 1.0f), [&](const Vec3f& w) { return math::length(w - a); });
     }
     if (!found) {  // the difference is a single point
-      ask_direction(pair, {1.0f, 0.0f, 0.0f}, best, better);
+      query_direction(pair, {1.0f, 0.0f, 0.0f}, best, better);
       return false;
     }
   }
@@ -155,7 +155,7 @@ NOVAPHY_OUT_OF_LINE bool grow_tetrahedron(const ShapePair& pair, Simplex& s, flo
     if (!farthest(u, off_line)) {
       s.count = 2;
       if (!farthest(math::cross(d, u), off_line)) {  // the difference is a line
-        ask_direction(pair, u, best, better);
+        query_direction(pair, u, best, better);
         return false;
       }
     }
@@ -164,8 +164,8 @@ NOVAPHY_OUT_OF_LINE bool grow_tetrahedron(const ShapePair& pair, Simplex& s, flo
   const Vec3f n = math::normalize(math::cross(s.p[1].w - a, s.p[2].w - a));
   s.count = 3;
   if (farthest(n, [&](const Vec3f& w) { return math::dot(n, w - a); })) return true;
-  ask_direction(pair, n, best, better);
-  ask_direction(pair, -n, best, better);
+  query_direction(pair, n, best, better);
+  query_direction(pair, -n, best, better);
   return false;
 }
 
@@ -222,7 +222,7 @@ NOVAPHY_OUT_OF_LINE Penetration epa(const ShapePair& pair, Simplex simplex) {
     if (nearest < 0 || poly.face[nearest].offset >= best.depth - tolerance) break;
     const EpaFace face = poly.face[nearest];
     bool better = false;
-    const SupportPoint p = ask_direction(pair, face.normal, best, better);
+    const SupportPoint p = query_direction(pair, face.normal, best, better);
     if (better) set_witness(best, poly, face);
     if (math::dot(p.w, face.normal) - face.offset <= tolerance) break;
     if (!add_vertex(poly, p, nearest, 0.2f * tolerance)) break;

@@ -17,8 +17,8 @@ const FclHull& FclContacts::hull_of(const RigidShape& shape) {
              : hulls_.emplace(shape.geometry, FclHull(shape.geometry->hull)).first->second;
 }
 
-int32_t FclContacts::ask(const RigidShape& s0, const RigidShape& s1, int32_t count,
-                         int32_t per_pair, geometry::Manifold& kept) {
+int32_t FclContacts::query(const RigidShape& s0, const RigidShape& s1, int32_t count,
+                           int32_t per_pair, geometry::Manifold& kept) {
   using namespace geometry;
   const Transformf relative = relative_pose(s0.pose, s1.pose);
   const Shape a = convex_shape(s0), b = convex_shape(s1);  // `pair` points to both shapes

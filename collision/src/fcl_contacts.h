@@ -17,8 +17,8 @@ class FclContacts {
   // Replaces the rows of two hulls with overlapping boxes by FCL's result. On entry `kept` has the
   // `count` rows of the engine's narrow phase, and is not initialized if count is 0. Returns the
   // new number of rows.
-  int32_t ask(const RigidShape& s0, const RigidShape& s1, int32_t count, int32_t per_pair,
-              geometry::Manifold& kept);
+  int32_t query(const RigidShape& s0, const RigidShape& s1, int32_t count, int32_t per_pair,
+                geometry::Manifold& kept);
 
   // Counts since the start: overlapping pairs, and pairs whose FCL result was rejected.
   int64_t pairs() const { return pairs_; }

@@ -30,7 +30,7 @@ struct RigidContacts::Impl {
     geometries->update();
     pairs.update();
   }
-  void ask_fcl() {
+  void query_fcl() {
     fcl.use_tables(geometries->version());
     const auto moved = launches.host_shapes();
     int32_t* const counts = launches.host_counts();
@@ -40,7 +40,7 @@ struct RigidContacts::Impl {
       const RigidShape& s1 = moved[static_cast<size_t>(pair.y)];
       if (s0.type == GeoType::CONVEX_MESH && s1.type == GeoType::CONVEX_MESH &&
           geometry::boxes_meet(s0.box, s1.box))
-        counts[k] = fcl.ask(s0, s1, counts[k], contacts_per_pair, launches.host_manifolds()[k]);
+        counts[k] = fcl.query(s0, s1, counts[k], contacts_per_pair, launches.host_manifolds()[k]);
     }
   }
 };
@@ -73,8 +73,8 @@ void RigidContacts::collide(const SimState& state, Contacts& c, float dt) {
   RigidLaunches& launches = impl_->launches;
   impl_->update();
   depend_on(pairs.sources());  // the host has read these arrays
-  const bool asks_fcl = impl_->narrow_phase == NarrowPhase::Fcl;
-  require(!asks_fcl || launch_recorder() == nullptr, ErrorKind::Runtime,
+  const bool uses_fcl = impl_->narrow_phase == NarrowPhase::Fcl;
+  require(!uses_fcl || launch_recorder() == nullptr, ErrorKind::Runtime,
           "collide: the narrow phase \"fcl\" asks on the host, so it cannot be recorded; use "
           "\"auto\"");
   const int64_t rows = c.rigid_contact_max();
@@ -85,7 +85,7 @@ void RigidContacts::collide(const SimState& state, Contacts& c, float dt) {
   const bool waits = this->waits();
   const bool knows_empty = waits && impl_->emptied.matches(c.rigid_contact_shape0);
   const bool sleeps =
-      waits && pairs.are_swept() && !asks_fcl &&
+      waits && pairs.are_swept() && !uses_fcl &&
       impl_->sleeping.begin(m, state, launches.host_shapes(), dt, impl_->geometries->version());
   if (sleeps)
     launches.move_some(m, state, *impl_->geometries, dt, impl_->sleeping.moved());
@@ -102,7 +102,7 @@ void RigidContacts::collide(const SimState& state, Contacts& c, float dt) {
   }
   if (pairs.count() > 0) {
     launches.find(pairs, impl_->contacts_per_pair);
-    if (asks_fcl) impl_->ask_fcl();
+    if (uses_fcl) impl_->query_fcl();
     launches.scan(pairs);
     // If the host waits for the number of rows, it checks here whether the rows fit. Otherwise
     // kernels check this.

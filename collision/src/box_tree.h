@@ -21,12 +21,12 @@ inline geometry::Box3 united(const geometry::Box3& a, const geometry::Box3& b) {
 
 class BoxTree {
  public:
-  // `places`: a point of each box. `worlds`: the world of each box; -1: all worlds.
-  void build(std::span<const Vec3f> places, std::span<const int32_t> worlds) {
+  // `positions`: a point of each box. `worlds`: the world of each box; -1: all worlds.
+  void build(std::span<const Vec3f> positions, std::span<const int32_t> worlds) {
     nodes_.clear();
-    std::vector<int32_t> items(places.size());
+    std::vector<int32_t> items(positions.size());
     std::iota(items.begin(), items.end(), 0);
-    if (!items.empty()) split(places, worlds, items);
+    if (!items.empty()) split(positions, worlds, items);
   }
   void fit(std::span<const geometry::Box3> boxes) {
     for (size_t k = nodes_.size(); k-- > 0;) {
@@ -61,15 +61,15 @@ class BoxTree {
   };
 
   // Adds a node for the given items, and its subtree.
-  void split(std::span<const Vec3f> places, std::span<const int32_t> worlds,
+  void split(std::span<const Vec3f> positions, std::span<const int32_t> worlds,
              std::span<int32_t> items) {
     const auto world_of = [&](int32_t i) { return worlds[static_cast<size_t>(i)]; };
-    const auto place_of = [&](int32_t i) { return places[static_cast<size_t>(i)]; };
+    const auto position_of = [&](int32_t i) { return positions[static_cast<size_t>(i)]; };
     const size_t number = nodes_.size();
-    geometry::Box3 around = {place_of(items[0]), place_of(items[0])};
+    geometry::Box3 around = {position_of(items[0]), position_of(items[0])};
     Node node = {.world = world_of(items[0])};
     for (const int32_t i : items) {
-      around = united(around, {place_of(i), place_of(i)});
+      around = united(around, {position_of(i), position_of(i)});
       node.last = std::max(node.last, i);
       if (world_of(i) != node.world) node.world = -1;
     }
@@ -80,13 +80,13 @@ class BoxTree {
       const Vec3f size = around.hi - around.lo;
       const int axis = size.x >= size.y && size.x >= size.z ? 0 : size.y >= size.z ? 1 : 2;
       const auto key = [&](int32_t i) {
-        return std::tuple(world_of(i), geometry::component(place_of(i), axis), i);
+        return std::tuple(world_of(i), geometry::component(position_of(i), axis), i);
       };
       const size_t middle = items.size() / 2;
       std::nth_element(items.begin(), items.begin() + static_cast<std::ptrdiff_t>(middle),
                        items.end(), [&](int32_t a, int32_t b) { return key(a) < key(b); });
-      split(places, worlds, items.first(middle));
-      split(places, worlds, items.subspan(middle));
+      split(positions, worlds, items.first(middle));
+      split(positions, worlds, items.subspan(middle));
     }
     nodes_[number].end = nodes_.size();
   }

@@ -74,7 +74,7 @@ void RigidTree::update(const Model& m, std::span<const int32_t> given_world) {
     world[s] = std::max(world[s], -1);
   }
   set_filters(m);
-  set_places(m, world);
+  assign_slots(m, world);
   set_levels(m.device());
   sorted_in_.reset();
   found_ = DeviceArray<int32_t>(1, m.device());
@@ -95,7 +95,7 @@ void RigidTree::set_filters(const Model& m) {
 }
 
 // Decides which shapes are in the tree, and assigns the slots for counts to all shapes.
-void RigidTree::set_places(const Model& m, std::span<const int32_t> world) {
+void RigidTree::assign_slots(const Model& m, std::span<const int32_t> world) {
   const size_t shapes = world.size();
   const std::vector<int32_t> apart = apart_of(m, world);
   const auto parts = static_cast<int32_t>((shapes + kApartPart - 1) / kApartPart);
@@ -126,7 +126,7 @@ void RigidTree::set_places(const Model& m, std::span<const int32_t> world) {
   for (DeviceArray<int32_t>* table : {&keys_, &counts_, &before_})
     *table = DeviceArray<int32_t>(table == &keys_ ? members.size() : static_cast<size_t>(slot),
                                   m.device());
-  kept_ = DeviceArray<Vec2i>(static_cast<size_t>(slot) * kKept, m.device());
+  kept_ = DeviceArray<Vec2i>(static_cast<size_t>(slot) * kStored, m.device());
 }
 
 // Makes levels until a level has few boxes.

@@ -32,7 +32,7 @@ class RigidTree {
 
  private:
   void set_filters(const Model& model);
-  void set_places(const Model& model, std::span<const int32_t> world);
+  void assign_slots(const Model& model, std::span<const int32_t> world);
   void set_levels(Device device);
   void sort(const Model& model, const Array& shapes);
   bool keeps_order();

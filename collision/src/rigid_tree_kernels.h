@@ -20,7 +20,7 @@ namespace novaphy {
 
 inline constexpr int32_t kTreeBits = 3, kTreeWidth = 1 << kTreeBits;  // children per node
 inline constexpr int32_t kApartPart = 4;
-inline constexpr int32_t kKept = 12;  // partners that the count kernel stores for the write kernel
+inline constexpr int32_t kStored = 12;  // partners that the count kernel stores for the writes
 
 inline geometry::Box3 no_box() {
   return {{3.0e38f, 3.0e38f, 3.0e38f}, {-3.0e38f, -3.0e38f, -3.0e38f}};
@@ -280,16 +280,15 @@ inline void add_pair(SortedPairs& to, const Vec2i& pair) {
 struct RigidTreeCountArguments {
   // for each slot
   NOVAPHY_ARGUMENTS(Part<RigidTreeTables> tree; Writes<int32_t> counts;
-                    // kKept values for each slot
-                    Writes<Vec2i> kept;
-  )
+                    // kStored values for each slot
+                    Writes<Vec2i> kept;)
 };
 NOVAPHY_ROW_KERNEL(rigid_tree_count, RigidTreeCountArguments) {
   const TreeAsker asker = tree_asker(a.tree, row);
-  SortedPairs kept = {a.kept + int64_t{asker.slot} * kKept, kKept, 0};
+  SortedPairs kept = {a.kept + int64_t{asker.slot} * kStored, kStored, 0};
   int32_t count = 0;
   for_partners(a.tree, asker, [&](int32_t other) {
-    if (++count <= kKept) add_pair(kept, {asker.shape, other});
+    if (++count <= kStored) add_pair(kept, {asker.shape, other});
   });
   a.counts[asker.slot] = count;
 }
@@ -308,15 +307,14 @@ NOVAPHY_ROW_KERNEL(rigid_tree_total, RigidTreeTotalArguments) {
 
 struct RigidTreeWriteArguments {
   NOVAPHY_ARGUMENTS(Part<RigidTreeTables> tree;
-                    Reads<int32_t> counts, before;         // counts, and their scan
-                    // the partners that the count kernel stored, for slots with at most kKept
+                    Reads<int32_t> counts, before;  // counts, and their scan
+                    // the partners that the count kernel stored, for slots with at most kStored
                     Reads<Vec2i> kept;
                     Optional<Reads<int64_t>> totals;       // null: the scan cannot overflow
                     Number<int64_t> total_rows, capacity;  // number of totals; room for pairs
                     Writes<Vec2i> pairs;                   // the first pairs, in ascending order
                     // number of all pairs; 2^31 - 1: at least this number
-                    Writes<int32_t> pairs_found;
-  )
+                    Writes<int32_t> pairs_found;)
 };
 NOVAPHY_ROW_KERNEL(rigid_tree_write, RigidTreeWriteArguments) {
   if (row == n - 1) {
@@ -331,8 +329,8 @@ NOVAPHY_ROW_KERNEL(rigid_tree_write, RigidTreeWriteArguments) {
   const int64_t room = left < count ? left : count;
   if (first < 0 || room <= 0) return;
   SortedPairs mine = {a.pairs + first, room, 0};
-  if (count <= kKept) {
-    const Vec2i* const kept = a.kept + int64_t{asker.slot} * kKept;
+  if (count <= kStored) {
+    const Vec2i* const kept = a.kept + int64_t{asker.slot} * kStored;
     for (int64_t k = 0; k < room; ++k) mine.pairs[k] = kept[k];
     return;
   }

@@ -327,7 +327,7 @@ MeshTree build_mesh_tree(std::span<const Vec3f> vertices, std::span<const int32_
   tree.vertices.assign(vertices.begin(), vertices.end());
   tree.triangles.reserve(indices.size() / 3);
   tree.normals.reserve(indices.size() / 3);
-  const std::vector<int32_t> place = first_in_place(tree.vertices);
+  const std::vector<int32_t> place = first_at_position(tree.vertices);
   auto joined = [&](size_t i) { return place[static_cast<size_t>(indices[i])]; };
   for (size_t i = 0; i + 2 < indices.size(); i += 3)
     tree.triangles.push_back({joined(i), joined(i + 1), joined(i + 2)});

@@ -151,7 +151,7 @@ Mesh load_mesh(const std::filesystem::path& path, const MeshOptions& options) {
     mesh.vertices = std::move(corners);
     return mesh;
   }
-  mesh.indices = first_in_place(corners);
+  mesh.indices = first_at_position(corners);
   for (size_t k = 0; k < corners.size(); ++k) {
     int32_t& row = mesh.indices[k];
     if (row == static_cast<int32_t>(k)) {

@@ -4,7 +4,7 @@
 
 namespace novaphy {
 
-std::vector<int32_t> first_in_place(std::span<const Vec3f> vertices) {
+std::vector<int32_t> first_at_position(std::span<const Vec3f> vertices) {
   std::vector<int32_t> first(vertices.size());
   // An open-addressing hash table of vertex indices, at most half full.
   std::vector<int32_t> table(std::bit_ceil(2 * vertices.size() + 1), -1);

@@ -111,7 +111,7 @@ int32_t ModelBuilder::add_shape_mesh(int32_t body, const ShapeMeshArgs& args) {
             ErrorKind::Index, name, ": indices[", i, "]: expected 0 to ", args.vertices.size() - 1,
             ", got ", args.indices[i]);
   // Keeps the vertices that triangles use, in the order of the input, and one vertex per position.
-  const std::vector<int32_t> place = first_in_place(args.vertices);
+  const std::vector<int32_t> place = first_at_position(args.vertices);
   std::vector<int32_t> number(place.size(), -1), indices;
   for (const int32_t i : args.indices)
     number[static_cast<size_t>(place[static_cast<size_t>(i)])] = 0;

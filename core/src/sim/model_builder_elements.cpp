@@ -35,7 +35,7 @@ void check_particle(const Element& e, int32_t particle, int32_t count, bool may_
           ErrorKind::Index, e, ": expected particles from 0 to ", count - 1,
           may_be_absent ? ", or -1" : "", ", got ", particle);
 }
-void check_room(const Element& e) {
+void check_capacity(const Element& e) {
   require(e.number < kMaxElements, ErrorKind::Value, e, ": expected at most ", kMaxElements,
           " of them");
 }
@@ -64,7 +64,7 @@ void ModelBuilder::append_spring(std::string_view function, const Vec2i& spring,
   check_material(e, "ke", ke);
   check_material(e, "kd", kd);
   detail::check_finite({function, "control"}, control);
-  check_room(e);
+  check_capacity(e);
   const float length = math::length(particle_q[static_cast<size_t>(spring.x)] -
                                     particle_q[static_cast<size_t>(spring.y)]);
   require(std::isfinite(length) && length > 0.0f, ErrorKind::Value, e,
@@ -88,7 +88,7 @@ float ModelBuilder::append_triangle(std::string_view function, const Vec3i& tria
       material.lift.value_or(default_tri_lift)};
   const char* const names[] = {"tri_ke", "tri_ka", "tri_kd", "tri_drag", "tri_lift"};
   for (size_t c = 0; c < 5; ++c) check_material(e, names[c], values[c]);
-  check_room(e);
+  check_capacity(e);
   const detail::TriangleRest rest =
       detail::triangle_rest(particle_q[static_cast<size_t>(i)], particle_q[static_cast<size_t>(j)],
                             particle_q[static_cast<size_t>(k)]);
@@ -108,7 +108,7 @@ float ModelBuilder::append_tetrahedron(std::string_view function, const Vec4i& t
   check_material(e, "k_mu", k_mu);
   check_material(e, "k_lambda", k_lambda);
   check_material(e, "k_damp", k_damp);
-  check_room(e);
+  check_capacity(e);
   const detail::TetrahedronRest rest = detail::tetrahedron_rest(
       particle_q[static_cast<size_t>(i)], particle_q[static_cast<size_t>(j)],
       particle_q[static_cast<size_t>(k)], particle_q[static_cast<size_t>(l)]);
@@ -138,7 +138,7 @@ void ModelBuilder::append_edge(std::string_view function, const Vec4i& edge,
   check_material(e, "edge_kd", kd);
   require(!rest || std::isfinite(*rest), ErrorKind::Value, e,
           ": rest: expected a finite angle, got ", rest.value_or(0.0f));
-  check_room(e);
+  check_capacity(e);
   const auto position = [&](int32_t p) { return particle_q[static_cast<size_t>(p)]; };
   const Vec3f x3 = position(k), x4 = position(l);
   const float length = math::length(x4 - x3);

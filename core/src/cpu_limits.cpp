@@ -29,7 +29,7 @@ std::string text_of(const fs::path& path) {
 
 // Removes the next word of a text and returns it as a number, or 0 if the word is not a number
 // ("max").
-double take_number(std::string_view& text) {
+double parse_number(std::string_view& text) {
   text.remove_prefix(std::min(text.find_first_not_of(" \t\n"), text.size()));
   double value = 0.0;
   const char* end = std::from_chars(text.data(), text.data() + text.size(), value).ptr;
@@ -40,15 +40,15 @@ double take_number(std::string_view& text) {
 int read_v2(const fs::path& folder) {
   const std::string text = text_of(folder / "cpu.max");
   std::string_view rest = text;
-  const double quota = take_number(rest);
-  return to_cpus(quota, take_number(rest));
+  const double quota = parse_number(rest);
+  return to_cpus(quota, parse_number(rest));
 }
 
 int read_v1(const fs::path& folder) {
   const std::string quota = text_of(folder / "cpu.cfs_quota_us");
   const std::string period = text_of(folder / "cpu.cfs_period_us");
   std::string_view first = quota, second = period;
-  return to_cpus(take_number(first), take_number(second));
+  return to_cpus(parse_number(first), parse_number(second));
 }
 
 // Returns the smallest limit of `group` and of its parent groups. In a container the path of the

@@ -36,9 +36,9 @@ struct Numbers {
 };
 
 // Provides the numbers of an array on the host. An array on the CPU is not copied.
-class NumbersOnHost {
+class ValuesOnHost {
  public:
-  explicit NumbersOnHost(const Array& array) {
+  explicit ValuesOnHost(const Array& array) {
     const size_t count = array.bytes() / sizeof(float);
     if (array.device().is_cpu()) {
       values_ = {static_cast<const float*>(array.raw()), count};
@@ -85,7 +85,7 @@ bool any_sign(Rule rule, size_t k) {
 }
 
 void check_numbers(const char* solver, const Numbers& numbers) {
-  const NumbersOnHost values(numbers.array);
+  const ValuesOnHost values(numbers.array);
   const size_t width = values.width();
   const Rule rule = numbers.rule;
   for (size_t row = 0; row < numbers.array.rows(); ++row) {
@@ -181,7 +181,7 @@ void EditedValues::check_bodies(const Model& m) {
   bool any = false;
   for (size_t k = 0; k < kBodyArrays; ++k) any = any || must_read(bodies_[k], *arrays[k]);
   if (!any) return;
-  const NumbersOnHost mass(m.body_mass), inertia(m.body_inertia), com(m.body_com),
+  const ValuesOnHost mass(m.body_mass), inertia(m.body_inertia), com(m.body_com),
       inv_mass(m.body_inv_mass), inv_inertia(m.body_inv_inertia);
   const std::vector<int32_t> flags = m.body_flags.to_host();
   for (size_t b = 0; b < flags.size(); ++b) {
@@ -216,7 +216,7 @@ void EditedValues::check_bodies(const Model& m) {
 void EditedValues::check_limits(const Model& m) {
   if (!must_read(limits_[0], m.joint_limit_lower) && !must_read(limits_[1], m.joint_limit_upper))
     return;
-  const NumbersOnHost lower(m.joint_limit_lower), upper(m.joint_limit_upper);
+  const ValuesOnHost lower(m.joint_limit_lower), upper(m.joint_limit_upper);
   for (size_t k = 0; k < m.joint_limit_lower.rows(); ++k)
     require(*lower.row(k) <= *upper.row(k), ErrorKind::Value, solver_, ": model.joint_limit_lower[",
             k, "]: expected at most joint_limit_upper, ", *upper.row(k), ", got ", *lower.row(k));

@@ -14,7 +14,7 @@
 namespace novaphy {
 namespace {
 
-constexpr size_t kKeptBytes = 1 << 16;
+constexpr size_t kBufferBytes = 1 << 16;
 constexpr std::string_view kEnd = "\n]\n";
 
 int32_t this_thread() {
@@ -38,13 +38,13 @@ TraceFile::TraceFile(const char* path) : process_(getpid()) {
   require(file_ >= 0, ErrorKind::Value,
           "NOVAPHY_TRACE: expected a file that can be written, got \"", path,
           "\": ", std::strerror(errno));
-  kept_.reserve(kKeptBytes + 1024);
+  buffer_.reserve(kBufferBytes + 1024);
   char name[128];
   std::snprintf(name, sizeof(name),
                 "[\n{\"name\":\"process_name\",\"ph\":\"M\",\"pid\":%" PRId32
                 ",\"args\":{\"name\":\"novaphy\"}}",
                 process_);
-  kept_ = name;
+  buffer_ = name;
   write();
 }
 
@@ -53,18 +53,18 @@ void TraceFile::add(std::string_view name, int64_t rows, std::string_view device
   const std::lock_guard lock(mutex_);
   if (getpid() != process_) return;
   try {
-    kept_ += ",\n{\"name\":\"";
-    append_escaped(kept_, name);
+    buffer_ += ",\n{\"name\":\"";
+    append_escaped(buffer_, name);
     char rest[256];
     std::snprintf(rest, sizeof(rest),
                   "\",\"cat\":\"launch\",\"ph\":\"X\",\"ts\":%.3f,\"dur\":%.3f,\"pid\":%" PRId32
                   ",\"tid\":%" PRId32 ",\"args\":{\"rows\":%" PRId64 ",\"device\":\"%.*s\"}}",
                   microseconds(begin), microseconds(end - begin), process_, this_thread(), rows,
                   static_cast<int>(device.size()), device.data());
-    kept_ += rest;
-    if (kept_.size() >= kKeptBytes) write();
+    buffer_ += rest;
+    if (buffer_.size() >= kBufferBytes) write();
   } catch (...) {  // no memory: the event is dropped
-    kept_.clear();
+    buffer_.clear();
   }
 }
 
@@ -78,15 +78,15 @@ void TraceFile::flush() noexcept {
 }
 
 void TraceFile::write() {
-  const size_t events = kept_.size();
-  kept_ += kEnd;
-  const ssize_t written = pwrite(file_, kept_.data(), kept_.size(), offset_);
+  const size_t events = buffer_.size();
+  buffer_ += kEnd;
+  const ssize_t written = pwrite(file_, buffer_.data(), buffer_.size(), offset_);
   // On a full disk a partial write is repeated with the next events.
-  if (written == static_cast<ssize_t>(kept_.size())) {
+  if (written == static_cast<ssize_t>(buffer_.size())) {
     offset_ += static_cast<int64_t>(events);
-    kept_.clear();
+    buffer_.clear();
   } else {
-    kept_.resize(events);
+    buffer_.resize(events);
   }
 }
 

@@ -27,7 +27,7 @@ class TraceFile {
   std::mutex mutex_;
   int file_ = -1;
   int64_t offset_ = 0;  // end of the array in the file
-  std::string kept_;    // buffered events, not yet in the file
+  std::string buffer_;  // buffered events, not yet in the file
   const int32_t process_;
 };
 

@@ -41,9 +41,9 @@ struct DiffSemiImplicitSolver::Witness : GradientWitness {
     return derivative != DerivativeOf::Code && held == nullptr && touches.held == nullptr;
   }
   const char* without_record() const override {
-    const bool all_kept = !notes.chain().empty() || notes.counts(*model).steps == 0;
-    return unrecorded == nullptr && !all_kept ? "DiffSemiImplicitSolver with checkpoints"
-                                              : unrecorded;
+    const bool all_stored = !notes.chain().empty() || notes.counts(*model).steps == 0;
+    return unrecorded == nullptr && !all_stored ? "DiffSemiImplicitSolver with checkpoints"
+                                                : unrecorded;
   }
   void begin_record() const override { clear_gradients(notes.chain()); }
   void add_to(AdjointRecord& record) const override { add_springs(*model, notes.chain(), record); }

@@ -159,8 +159,8 @@ void bind_operators(py::module_& m) {
 Tensor whole(const Trajectory& t, FieldRole role, const Array& array) {
   if (role == FieldRole::Applied) return Tensor::view(array);
   nova::Shape shape = array.shape();
-  shape[0] /= t.kept_count();
-  shape.insert(shape.begin(), t.kept_count());
+  shape[0] /= t.stored_count();
+  shape.insert(shape.begin(), t.stored_count());
   return {array.range(), std::move(shape), Tensor::view(array).dtype()};
 }
 

@@ -136,7 +136,7 @@ std::string message_of(F&& f) {
 TEST(Checkpoints, AStateThatIsNotKeptIsRefusedByName) {
   const auto model = make_ball_model();
   Trajectory trajectory(model, 20, true, 8);
-  EXPECT_EQ(trajectory.kept_count(), 4);  // 0, 8, 16, 20
+  EXPECT_EQ(trajectory.stored_count(), 4);  // 0, 8, 16, 20
   EXPECT_EQ(trajectory.particle_q().size(), 4u);
   EXPECT_NO_THROW(trajectory.state(16));
   EXPECT_NO_THROW(trajectory.state(20));

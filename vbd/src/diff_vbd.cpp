@@ -159,8 +159,8 @@ struct DiffSolverVBD::Witness : GradientWitness {
   }
   const char* without_record() const override {
     if (!is_on_host(*model)) return "DiffSolverVBD on a device";
-    const bool all_kept = !notes.chain().empty() || notes.counts(*model).steps == 0;
-    return all_kept ? nullptr : "DiffSolverVBD with checkpoints";
+    const bool all_stored = !notes.chain().empty() || notes.counts(*model).steps == 0;
+    return all_stored ? nullptr : "DiffSolverVBD with checkpoints";
   }
 };
 

@@ -45,7 +45,7 @@ RolloutInputs::RolloutInputs(const Model& model, const Trajectory& trajectory,
           start_, " and ", stop_);
   for (const int32_t t : {start_, stop_})
     require(trajectory.keeps(t), ErrorKind::Value, "rollout, start and stop: state ", t,
-            " is not kept, but those of t = ", trajectory.kept_text(), " are");
+            " is not kept, but those of t = ", trajectory.stored_text(), " are");
   require(controls_.empty() || control == nullptr, ErrorKind::Value,
           "rollout, controls: expected none besides control");
   if (controls_.empty()) controls_ = {control};

@@ -15,7 +15,7 @@ Array part(const Array& whole, size_t k, size_t n) {
   return {whole.dtype(), n, whole.width(), whole.range()->storage().range(k * bytes, bytes)};
 }
 
-int32_t kept_states(int32_t steps, int32_t interval) {
+int32_t stored_states(int32_t steps, int32_t interval) {
   return steps / interval + 1 + (steps % interval != 0 ? 1 : 0);
 }
 int32_t shared_states(int32_t steps, int32_t interval) {
@@ -58,7 +58,7 @@ Trajectory::Trajectory(std::shared_ptr<const Model> model, int32_t steps, bool r
   require(interval_ >= 1, ErrorKind::Value,
           "Trajectory, checkpoint: expected an interval >= 1, got ", interval_);
   applied_.allocate(model_->counts(), model_->device());
-  kept_ = make_states(kept_states(steps, interval_));
+  kept_ = make_states(stored_states(steps, interval_));
   between_ = make_states(shared_states(steps, interval_));
   for (States* part : {&kept_, &between_})
     for (SimState& state : part->states) state.requires_grad = requires_grad;
@@ -126,7 +126,7 @@ SimState& Trajectory::any_state(int32_t t) {
   return t == steps_ ? kept_.states.back() : kept_.states[static_cast<size_t>(t / interval_)];
 }
 
-std::string Trajectory::kept_text() const {
+std::string Trajectory::stored_text() const {
   const std::string last = std::to_string(steps_);
   if (interval_ >= steps_) return "0 and " + last;
   if (2 * int64_t{interval_} >= steps_) return "0, " + std::to_string(interval_) + " and " + last;
@@ -139,7 +139,7 @@ SimState& Trajectory::state(int32_t t) {
           ", got ", t);
   if (!keeps(t)) [[unlikely]]
     fail(ErrorKind::Runtime, "Trajectory: state ", t,
-         " is not kept, but those of t = ", kept_text(), " are (checkpoint interval ", interval_,
+         " is not kept, but those of t = ", stored_text(), " are (checkpoint interval ", interval_,
          "); recompute(", t, ") gives it");
   return any_state(t);
 }
@@ -199,7 +199,7 @@ int32_t checkpoint_interval_for(const Model& model, int32_t steps, uint64_t byte
   uint64_t least = UINT64_MAX;
   for (int32_t interval = 1; interval <= std::max(1, steps); ++interval) {
     const auto states =
-        static_cast<uint64_t>(kept_states(steps, interval) + shared_states(steps, interval));
+        static_cast<uint64_t>(stored_states(steps, interval) + shared_states(steps, interval));
     least = std::min(least, states * state_bytes);
     if (states * state_bytes <= bytes) return interval;
   }

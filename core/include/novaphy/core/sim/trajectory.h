@@ -53,8 +53,8 @@ class NOVAPHY_CORE_API Trajectory {
 
   int32_t checkpoint_interval() const { return interval_; }
   bool keeps(int32_t t) const { return t % interval_ == 0 || t == steps_; }
-  int32_t kept_count() const { return static_cast<int32_t>(kept_.states.size()); }
-  std::string kept_text() const;  // "0, 8, 16, ... and 100"
+  int32_t stored_count() const { return static_cast<int32_t>(kept_.states.size()); }
+  std::string stored_text() const;  // "0, 8, 16, ... and 100"
   // Recomputes state t, kept or not, from the last kept state before it, and returns a copy. The
   // inputs of the last rollout (solver, contacts, controls, forces) must still exist.
   // ErrorKind::Runtime: the last rollout did not run these steps, or the recomputed next kept state

@@ -109,14 +109,14 @@ void OpList::end_recording() {
 }
 
 void OpList::freeze(const std::shared_ptr<const float>& number, std::string_view name) {
-  for (const FrozenNumber& known : frozen_numbers_) {
+  for (const FrozenParameter& known : frozen_parameters_) {
     if (known.number != number) continue;
     require(std::bit_cast<uint32_t>(known.recorded) == std::bit_cast<uint32_t>(*number),
             ErrorKind::Runtime, "capture: model.", name, ": recorded as ", known.recorded,
             ", then as ", *number, "; a capture holds one value");
     return;
   }
-  frozen_numbers_.push_back({number, *number, name});
+  frozen_parameters_.push_back({number, *number, name});
 }
 
 void OpList::before_launch(const std::shared_ptr<const void>& owner,
@@ -130,7 +130,7 @@ void OpList::check_unchanged() const {
   for (const Frozen& f : frozen_)
     require(f.table->version() == f.version, ErrorKind::Runtime, launcher,
             ": an index table (e.g. the contacts) was modified after the capture");
-  for (const FrozenNumber& n : frozen_numbers_)
+  for (const FrozenParameter& n : frozen_parameters_)
     if (std::bit_cast<uint32_t>(n.recorded) != std::bit_cast<uint32_t>(*n.number)) [[unlikely]]
       novaphy::fail(ErrorKind::Runtime, launcher, ": model.", n.name, ": recorded as ", n.recorded,
                     ", and now ", *n.number, "; record anew, or set it back");
@@ -181,7 +181,7 @@ void OpList::submit() const {
            std::span(accesses_).subspan(op.first_access, op.access_count));
   for (const auto& range : written_) note_write(range);
   for (const Frozen& f : frozen_) into->freeze(f.table, f.arrays);
-  for (const FrozenNumber& n : frozen_numbers_) into->freeze(n.number, n.name);
+  for (const FrozenParameter& n : frozen_parameters_) into->freeze(n.number, n.name);
   for (const auto& [owner, prepare] : before_launch_) into->before_launch(owner, prepare);
   for (const auto& memory : memory_.all()) into->uses(memory);
   for (const auto& [range, state] : gradients_) into->gradient(range, state);

@@ -167,12 +167,12 @@ class NOVAPHY_NOVA_API OpList {
     auto operator<=>(const Frozen&) const = default;
   };
   std::vector<Frozen> frozen_;
-  struct FrozenNumber {
+  struct FrozenParameter {
     std::shared_ptr<const float> number;
     float recorded;
     std::string_view name;
   };
-  std::vector<FrozenNumber> frozen_numbers_;
+  std::vector<FrozenParameter> frozen_parameters_;
   std::vector<std::pair<std::shared_ptr<const void>, std::function<void()>>> before_launch_;
   std::map<std::shared_ptr<Range>, GradState> gradients_;  // state after a launch
   // Made at the first launch, on devices that replay graphs. Declared last, because its thread

@@ -166,13 +166,13 @@ void Tape::Impl::run_custom(const Step& step, DeferredScope& deferred) {
   const CustomOp& custom = customs[static_cast<size_t>(op.custom)];
   std::vector<Tensor> outputs(op.outputs);
   for (uint32_t o = 0; o < op.outputs; ++o)
-    if (const std::shared_ptr<Range>* place = output_place(step, o))
+    if (const std::shared_ptr<Range>* place = output_gradient(step, o))
       outputs[o] = Tensor(*place, custom.outputs[o].shape(), DType::F32);
   std::vector<InputGradient> inputs(custom.inputs.size());
   for (uint32_t s = 0; s < inputs.size(); ++s) {
     const uint64_t bit = uint64_t{1} << s;
     if (!(step.key.wrt & bit)) continue;
-    inputs[s].grad = Tensor(*input_place(step, s), custom.inputs[s].shape(), DType::F32);
+    inputs[s].grad = Tensor(*input_gradient(step, s), custom.inputs[s].shape(), DType::F32);
     inputs[s].add = (step.key.accumulate & bit) != 0 || bound_before(op, s);
   }
   run_functions(custom, deferred, [&] {

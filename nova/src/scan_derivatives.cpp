@@ -19,7 +19,7 @@ bool Tape::Impl::begin_in_body(Node& n) {
     n.place = pool.take(*n.range);
     return false;
   }
-  LeafPlace& leaf = leaf_places.at(n.range.get());
+  LeafGradient& leaf = leaf_gradients.at(n.range.get());
   leaf.reached = true;
   n.place = &leaf.memory;
   return leaf.held;
@@ -33,9 +33,9 @@ const Tape::ScanBody::Pass& Tape::ScanBody::pass(uint32_t seeded, uint64_t held)
   if (known != passes_.end()) return known->second;
   Impl& body = *tape_->impl_;
   const detail::PartCapture capture("the backward pass of a scan", "scan");
-  body.leaf_places.clear();
+  body.leaf_gradients.clear();
   for (size_t l = 0; l < leaves_.size(); ++l)
-    body.leaf_places[leaves_[l].range().get()] = {places_[l].range(), (held & bit(l)) != 0};
+    body.leaf_gradients[leaves_[l].range().get()] = {places_[l].range(), (held & bit(l)) != 0};
   for (Impl::Node& n : body.nodes) {
     n.set = false;
     n.unread = 0;
@@ -56,7 +56,7 @@ const Tape::ScanBody::Pass& Tape::ScanBody::pass(uint32_t seeded, uint64_t held)
   body.scratch.clear();
   Pass made{capture.list()};
   for (size_t l = 0; l < leaves_.size(); ++l)
-    if (body.leaf_places.at(leaves_[l].range().get()).reached) made.reached |= bit(l);
+    if (body.leaf_gradients.at(leaves_[l].range().get()).reached) made.reached |= bit(l);
   return passes_[{seeded, held}] = made;
 }
 

@@ -190,7 +190,7 @@ void Tape::Impl::forget() {
   values.clear();
   written_again.clear();
   outer = nullptr;
-  leaf_places.clear();
+  leaf_gradients.clear();
 }
 
 void Tape::mark_untracked(const std::shared_ptr<Range>& range, const char* why) {

@@ -439,7 +439,7 @@ void Tape::Impl::run_kernel(const Step& step) {
     gradients[s] = nullptr;
     if (!(step.key.wrt & bit(s))) continue;
     const Operand& in = input(op, s).operand;
-    gradients[s] = input_place(step, s);
+    gradients[s] = input_gradient(step, s);
     if (bound_before(op, s)) {
       added_later.reserve(op.inputs);  // keeps pointers to the elements valid
       added_later.push_back(
@@ -449,7 +449,7 @@ void Tape::Impl::run_kernel(const Step& step) {
   }
   constexpr size_t kMaxOutputs = 32;
   std::array<const std::shared_ptr<Range>*, kMaxOutputs> output_gradients;
-  for (uint32_t o = 0; o < op.outputs; ++o) output_gradients[o] = output_place(step, o);
+  for (uint32_t o = 0; o < op.outputs; ++o) output_gradients[o] = output_gradient(step, o);
   std::array<const Operand*, kMaxSources> inputs;
   for (uint32_t s = 0; s < op.inputs; ++s) inputs[s] = &input(op, s).operand;
   detail::run_adjoint(*op.kernel, *step.plan,
@@ -467,7 +467,7 @@ void Tape::Impl::run_kernel(const Step& step) {
   hold_in_capture(op.kernel);
   for (const auto& [s, from] : added_later) {
     Operand into = input(op, s).operand;
-    into.range = *input_place(step, s);
+    into.range = *input_gradient(step, s);
     detail::accumulate(into, from);
   }
 }

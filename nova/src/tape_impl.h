@@ -177,7 +177,7 @@ struct Tape::Impl {
   bool leaves_only = false;  // KeepGradients::Leaves
   // For the tape of the body of a scan. Its operations are launched again with other values, so the
   // scan, not the versions, says that values are those of the step.
-  struct LeafPlace {
+  struct LeafGradient {
     std::shared_ptr<Range> memory;  // the memory of the gradient
     bool held = false;              // whether the memory holds a gradient before the pass
     bool reached = false;           // whether the pass contributes to it
@@ -188,7 +188,7 @@ struct Tape::Impl {
     novaphy::require(!records_body, novaphy::ErrorKind::NotImplemented, call,
                      ": not supported for the tape of the body of a scan");
   }
-  std::unordered_map<const Range*, LeafPlace> leaf_places;
+  std::unordered_map<const Range*, LeafGradient> leaf_gradients;
   // Data of the last backward pass, kept to reuse its memory.
   std::vector<Step> steps;
   std::vector<const std::shared_ptr<Range>*> places;
@@ -287,10 +287,10 @@ struct Tape::Impl {
   static bool is_finite_where_read(const Range& gradient, const Node& n);
   void tell_not_finite(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed,
                        const Copies& earlier);
-  const std::shared_ptr<Range>* output_place(const Step& step, uint32_t o) const {
+  const std::shared_ptr<Range>* output_gradient(const Step& step, uint32_t o) const {
     return places[step.first_place + o];
   }
-  const std::shared_ptr<Range>* input_place(const Step& step, uint32_t s) const {
+  const std::shared_ptr<Range>* input_gradient(const Step& step, uint32_t s) const {
     return places[step.first_place + step.op->outputs + s];
   }
   bool overwritten_in_group(const Use& use) const {

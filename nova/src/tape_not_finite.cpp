@@ -51,7 +51,7 @@ void Tape::Impl::tell_not_finite(const std::shared_ptr<Range>& loss_gradient, co
   const auto stop = [&](const Step& step) {
     for (uint32_t s = 0; step.op && s < step.op->inputs; ++s) {
       if (!(step.key.wrt >> s & 1)) continue;
-      const Range& gradient = **input_place(step, s);
+      const Range& gradient = **input_gradient(step, s);
       if (is_finite_where_read(gradient, *find(*input(*step.op, s).operand.range))) continue;
       first = "that of '" + input_name(*step.op, s) + "' of op '" + op_name(*step.op) + "'";
       if (step.op->step >= 0)

@@ -25,15 +25,15 @@ using nova::TraceContext;
 
 namespace {
 
-constexpr size_t kInputs = 4 + kPushBoxNumbers;
+constexpr size_t kInputs = 4 + kPushBoxConstants;
 using Inputs = std::array<Tensor, kInputs>;  // pusher_x, pusher_v, box_x, box_v, numbers
 
 struct NumberInfo {
   const char* name;
-  PushBoxNumber PushBoxParameters::*member;
+  PushBoxConstant PushBoxParameters::*member;
   bool positive;
 };
-constexpr NumberInfo kNumbers[kPushBoxNumbers] = {
+constexpr NumberInfo kNumbers[kPushBoxConstants] = {
     {"mass", &PushBoxParameters::mass, true},
     {"half_extent", &PushBoxParameters::half_extent, false},
     {"pusher_radius", &PushBoxParameters::pusher_radius, false},
@@ -72,7 +72,7 @@ void check_number(float value, const NumberInfo& info, const char* op) {
 
 Tensor number_tensor(const PushBoxParameters& parameters, const NumberInfo& info, Device device,
                      const char* op) {
-  const PushBoxNumber& number = parameters.*info.member;
+  const PushBoxConstant& number = parameters.*info.member;
   if (const auto* tensor = std::get_if<Tensor>(&number)) {
     check_rows(*tensor, 1, op, info.name);
     for (const float value : values_of(*tensor)) check_number(value, info, op);
@@ -91,7 +91,7 @@ Inputs inputs_of(const Tensor& box_x, const Tensor& box_v, const Tensor& pusher_
   check_rows(pusher_x, steps, op, "pusher_x");
   check_rows(pusher_v, steps, op, "pusher_v");
   Inputs in = {pusher_x, pusher_v, box_x, box_v};
-  for (size_t k = 0; k < kPushBoxNumbers; ++k)
+  for (size_t k = 0; k < kPushBoxConstants; ++k)
     in[4 + k] = number_tensor(parameters, kNumbers[k], box_x.device(), op);
   const char* const names[4] = {"pusher_x", "pusher_v", "box_x", "box_v"};
   for (size_t k = 0; k < 4; ++k) check_states(in[k], op, names[k]);
@@ -111,8 +111,8 @@ nova::Kernel make_step_kernel() {
   const nova::Kernel kernel = nova::make_kernel(
       "integrate_push_box", sources, {{"box_x", 1, "box_x"}, {"box_v", 1, "box_v"}},
       [](TraceContext& c) {
-        const PushBoxNumbers<Real> n = {c.f32(4), c.f32(5),  c.f32(6),  c.f32(7),  c.f32(8),
-                                        c.f32(9), c.f32(10), c.f32(11), c.f32(12), c.f32(13)};
+        const PushBoxConstants<Real> n = {c.f32(4), c.f32(5),  c.f32(6),  c.f32(7),  c.f32(8),
+                                          c.f32(9), c.f32(10), c.f32(11), c.f32(12), c.f32(13)};
         const PushBoxState<Real> box =
             push_box_step<Real>({c.f32(2), c.f32(3)}, {c.f32(0), c.f32(1)}, n);
         return std::vector<Real>{box.x, box.v};
@@ -149,11 +149,11 @@ DeviceArray<float> floats_of(const Tensor& tensor) {
 
 // The inputs as arrays that stay alive as long as a launch.
 struct InputArrays {
-  DeviceArray<float> states[4], numbers[kPushBoxNumbers];
+  DeviceArray<float> states[4], numbers[kPushBoxConstants];
 
   explicit InputArrays(const Inputs& in) {
     for (size_t k = 0; k < 4; ++k) states[k] = floats_of(in[k]);
-    for (size_t k = 0; k < kPushBoxNumbers; ++k) numbers[k] = floats_of(in[4 + k]);
+    for (size_t k = 0; k < kPushBoxConstants; ++k) numbers[k] = floats_of(in[4 + k]);
   }
   PushBoxArguments arguments(int64_t steps) const {
     return {.pusher_x = states[0],
@@ -200,8 +200,8 @@ void run_jvp(const Rollout& r, std::span<const Tensor> t, std::span<const Tensor
     return t[k].defined() ? t[k].data<float>()[row] : 0.0f;
   };
   const auto value = [&](size_t k) { return *r.in[k].data<float>(); };
-  const PushBoxNumbers<float> numbers = {value(4), value(5),  value(6),  value(7),  value(8),
-                                         value(9), value(10), value(11), value(12), value(13)};
+  const PushBoxConstants<float> numbers = {value(4), value(5),  value(6),  value(7),  value(8),
+                                           value(9), value(10), value(11), value(12), value(13)};
   PushBoxState<float> box = {value(2), value(3)}, dot = {tangent(2, 0), tangent(3, 0)};
   const auto put = [&](size_t k, int64_t row, float number) {
     if (tangents[k].defined()) static_cast<float*>(tangents[k].range()->data())[row] = number;
@@ -209,11 +209,11 @@ void run_jvp(const Rollout& r, std::span<const Tensor> t, std::span<const Tensor
   for (int64_t row = 0; row < r.steps; ++row) {
     const PushBoxDerivatives<float> d = push_box_derivatives(
         box, {r.in[0].data<float>()[row], r.in[1].data<float>()[row]}, numbers);
-    float by[kPushBoxNumbers];
+    float by[kPushBoxConstants];
     push_box_list(d.numbers, by);
     float of_v = d.box.x * dot.x + d.box.v * dot.v + d.pusher.x * tangent(0, row) +
                  d.pusher.v * tangent(1, row);
-    for (size_t k = 0; k < kPushBoxNumbers; ++k) of_v += by[k] * tangent(4 + k, 0);
+    for (size_t k = 0; k < kPushBoxConstants; ++k) of_v += by[k] * tangent(4 + k, 0);
     box = {r.x.data<float>()[row], r.v.data<float>()[row]};
     dot = {dot.x + (tangent(10, 0) * box.v + numbers.dt * of_v), of_v};
     put(0, row, dot.x);

@@ -9,7 +9,7 @@ using nova::Tensor;
 
 namespace {
 
-diff::PushBoxNumber to_number(py::handle value, const char* name) {
+diff::PushBoxConstant to_number(py::handle value, const char* name) {
   if (py::isinstance<nova::TensorImpl>(value)) return value.cast<Tensor>();
   return to_float(value, name);
 }

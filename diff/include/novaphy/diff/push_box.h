@@ -14,22 +14,22 @@
 namespace novaphy::diff {
 
 // A number, or a tensor {1} on the device of the box, which may have a gradient.
-using PushBoxNumber = std::variant<float, nova::Tensor>;
+using PushBoxConstant = std::variant<float, nova::Tensor>;
 
 // mass, dt, softness and friction_velocity are > 0, the other numbers >= 0. All are finite. Values
 // of tensors are checked on the CPU outside of captures. In other cases a value that is not finite
 // enters the results.
 struct PushBoxParameters {
-  PushBoxNumber mass;                       // kg
-  PushBoxNumber half_extent;                // m, half the size of the box along the axis
-  PushBoxNumber pusher_radius;              // m
-  PushBoxNumber ke;                         // N/m
-  PushBoxNumber kd;                         // N s/m
-  PushBoxNumber friction;                   // coefficient
-  PushBoxNumber dt;                         // s
-  PushBoxNumber softness = 1e-3f;           // m
-  PushBoxNumber friction_velocity = 1e-2f;  // m/s
-  PushBoxNumber gravity = 9.81f;            // m/s^2
+  PushBoxConstant mass;                       // kg
+  PushBoxConstant half_extent;                // m, half the size of the box along the axis
+  PushBoxConstant pusher_radius;              // m
+  PushBoxConstant ke;                         // N/m
+  PushBoxConstant kd;                         // N s/m
+  PushBoxConstant friction;                   // coefficient
+  PushBoxConstant dt;                         // s
+  PushBoxConstant softness = 1e-3f;           // m
+  PushBoxConstant friction_velocity = 1e-2f;  // m/s
+  PushBoxConstant gravity = 9.81f;            // m/s^2
 };
 
 // Returns (box_x', box_v') {1}: position (m) and velocity (m/s) of the box's center after dt. The

@@ -29,7 +29,7 @@ struct PushBoxState {
 };
 
 template <class T>
-struct PushBoxNumbers {
+struct PushBoxConstants {
   T mass{}, half_extent{}, pusher_radius{}, ke{}, kd{}, friction{}, dt{}, softness{},
       friction_velocity{}, gravity{};
 };
@@ -45,7 +45,7 @@ struct PushBoxTerms {
 
 template <class T>
 PushBoxTerms<T> push_box_terms(const PushBoxState<T>& box, const PushBoxState<T>& pusher,
-                               const PushBoxNumbers<T>& n) {
+                               const PushBoxConstants<T>& n) {
   using namespace math;
   PushBoxTerms<T> t;
   const T gap = ((box.x - n.half_extent) - n.pusher_radius) - pusher.x;
@@ -61,7 +61,7 @@ PushBoxTerms<T> push_box_terms(const PushBoxState<T>& box, const PushBoxState<T>
 
 template <class T>
 PushBoxState<T> push_box_step(const PushBoxState<T>& box, const PushBoxState<T>& pusher,
-                              const PushBoxNumbers<T>& n) {
+                              const PushBoxConstants<T>& n) {
   const PushBoxTerms<T> t = push_box_terms(box, pusher, n);
   const T friction = n.friction * (n.mass * (n.gravity * t.slide));
   const T v = box.v + n.dt * ((t.normal - friction) / n.mass);
@@ -72,12 +72,12 @@ PushBoxState<T> push_box_step(const PushBoxState<T>& box, const PushBoxState<T>&
 template <class T>
 struct PushBoxDerivatives {
   PushBoxState<T> box{}, pusher{};
-  PushBoxNumbers<T> numbers{};
+  PushBoxConstants<T> numbers{};
 };
 template <class T>
 PushBoxDerivatives<T> push_box_derivatives(const PushBoxState<T>& box,
                                            const PushBoxState<T>& pusher,
-                                           const PushBoxNumbers<T>& n) {
+                                           const PushBoxConstants<T>& n) {
   using namespace math;
   const PushBoxTerms<T> t = push_box_terms(box, pusher, n);
   const T one = T(1.0f), per_force = n.dt / n.mass, vs = n.friction_velocity;

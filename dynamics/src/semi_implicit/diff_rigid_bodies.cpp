@@ -193,7 +193,7 @@ const nova::Kernel& newton_kernel(Worlds worlds) {
   return worlds == Worlds::Several ? several : one;
 }
 
-void check_numbers(const RigidStepNumbers& n, const char* op) {
+void check_numbers(const RigidStepParameters& n, const char* op) {
   const auto check = [op](const char* name, float value) {
     require(std::isfinite(value) && value >= 0.0f, ErrorKind::Value, op, ", ", name,
             ": expected a finite number >= 0, got ", value);
@@ -300,7 +300,8 @@ void PlanePairs::update(const Model& model, bool with_contacts) {
 
 void step_rigid_bodies_with_static_contacts(const Model& model, const PlanePairs& pairs,
                                             const Operand& body_q, const Operand& body_qd,
-                                            const Operand& body_f, const RigidStepNumbers& numbers,
+                                            const Operand& body_f,
+                                            const RigidStepParameters& numbers,
                                             const Operand& q_out, const Operand& qd_out) {
   check_numbers(numbers, "step_rigid_bodies_with_static_contacts");
   const std::vector<Operand> in = operands(model, pairs, body_q, body_qd, body_f);
@@ -318,7 +319,7 @@ std::pair<Tensor, Tensor> integrate_rigid_bodies_with_static_contacts_generated(
   check_tensor(model, body_q, 7, op, "body_q");
   check_tensor(model, body_qd, 6, op, "body_qd");
   check_tensor(model, body_f, 6, op, "body_f");
-  const RigidStepNumbers numbers = {angular_damping, friction_smoothing, dt, newton_spin};
+  const RigidStepParameters numbers = {angular_damping, friction_smoothing, dt, newton_spin};
   check_numbers(numbers, op);
   begin_model_reads(model, op);
   PlanePairs pairs;

@@ -54,7 +54,7 @@ integrate_rigid_bodies_with_static_contacts_generated(
 
 // The parameters of step_rigid_bodies_with_static_contacts, which computes the same step into given
 // memory, for solvers. `pairs` must be up to date.
-struct RigidStepNumbers {
+struct RigidStepParameters {
   float angular_damping = 0.05f;    // 1/s
   float friction_smoothing = 0.1f;  // m/s
   float dt = 0.0f;                  // s
@@ -62,7 +62,7 @@ struct RigidStepNumbers {
 };
 NOVAPHY_DYNAMICS_API void step_rigid_bodies_with_static_contacts(
     const Model& model, const PlanePairs& pairs, const nova::Operand& body_q,
-    const nova::Operand& body_qd, const nova::Operand& body_f, const RigidStepNumbers& numbers,
+    const nova::Operand& body_qd, const nova::Operand& body_f, const RigidStepParameters& numbers,
     const nova::Operand& q_out, const nova::Operand& qd_out);
 
 }  // namespace novaphy::diff

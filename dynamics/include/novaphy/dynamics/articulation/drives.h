@@ -86,40 +86,40 @@ DriveTerm<T> dof_term(const StepInputs<T>& in, int32_t row, int32_t coord,
 
 // The forces of a dof's drive and limit in a step with the acceleration qdd, before clipping.
 template <class T>
-struct AskedForces {
+struct UnclippedForces {
   T drive{}, stop{};
 };
 template <class T>
-AskedForces<T> asked_forces(const StepInputs<T>& in, int32_t row, int32_t coord,
-                            const Branches<T>& branch, const T& q, const T& v, const T& qdd,
-                            const T& dt, bool implicit) {
+UnclippedForces<T> unclipped_forces(const StepInputs<T>& in, int32_t row, int32_t coord,
+                                    const Branches<T>& branch, const T& q, const T& v, const T& qdd,
+                                    const T& dt, bool implicit) {
   const T o = T(0.0f);
   const DriveTerm<T> drive =
       drive_term(drive_law(in, row, coord, branch, implicit), q, v, dt, implicit);
-  AskedForces<T> asked{drive.force - drive.diagonal * qdd, o};
+  UnclippedForces<T> unclipped{drive.force - drive.diagonal * qdd, o};
   const auto outside = has(branch, kOutside);
-  if (!any(outside)) return asked;
+  if (!any(outside)) return unclipped;
   const DriveTerm<T> stop = drive_term(limit_law(in, row, branch), q, v, dt, implicit);
-  asked.stop = select(outside, stop.force - stop.diagonal * qdd, o);
-  return asked;
+  unclipped.stop = select(outside, stop.force - stop.diagonal * qdd, o);
+  return unclipped;
 }
 // Returns the force of the drive, clipped to its effort limit, plus that of the limit. Implicit: a
 // limit that would pull has no force.
 template <class T>
-T given_force(const Branches<T>& branch, const AskedForces<T>& asked, const T& effort_limit,
+T given_force(const Branches<T>& branch, const UnclippedForces<T>& unclipped, const T& effort_limit,
               bool implicit) {
-  const T limit = effort_limit, drive = asked.drive;
+  const T limit = effort_limit, drive = unclipped.drive;
   const T given = select(drive > limit, limit, select(drive < -limit, -limit, drive));
-  if (!implicit) return given + asked.stop;
-  return given + select(limit_pulls<T>(branch, asked.stop), T(0.0f), asked.stop);
+  if (!implicit) return given + unclipped.stop;
+  return given + select(limit_pulls<T>(branch, unclipped.stop), T(0.0f), unclipped.stop);
 }
 // Returns the branch that matches the unclipped forces. `keep`: a drive or limit that does not act
 // in `branch` stays inactive.
 template <class T>
-Branches<T> next_branch(const Branches<T>& branch, const AskedForces<T>& asked,
+Branches<T> next_branch(const Branches<T>& branch, const UnclippedForces<T>& unclipped,
                         const T& effort_limit, bool implicit, bool keep) {
-  auto upper = asked.drive > effort_limit, lower = asked.drive < -effort_limit;
-  auto released = limit_pulls<T>(branch, asked.stop);
+  auto upper = unclipped.drive > effort_limit, lower = unclipped.drive < -effort_limit;
+  auto released = limit_pulls<T>(branch, unclipped.stop);
   if (keep) {
     const auto was_upper = has(branch, kEffortAtUpper), was_lower = has(branch, kEffortAtLower);
     upper = either(was_upper, both(upper, negate(was_lower)));

@@ -115,12 +115,12 @@ struct StepDrives {
   const StepInputs<T>& in;
   const StepOptions<T>& options;
 
-  AskedForces<T> asked(const Link& link, const Branches<T>& branch, const T& qdd) const {
-    return asked_forces(in, link.dof, link.coord, branch, in.q[link.coord], in.qd[link.dof], qdd,
-                        options.dt, options.implicit_drives);
+  UnclippedForces<T> unclipped(const Link& link, const Branches<T>& branch, const T& qdd) const {
+    return unclipped_forces(in, link.dof, link.coord, branch, in.q[link.coord], in.qd[link.dof],
+                            qdd, options.dt, options.implicit_drives);
   }
   T given(const Link& link, const Branches<T>& branch, const T& qdd) const {
-    return given_force(branch, asked(link, branch, qdd), in.effort_limit[link.dof],
+    return given_force(branch, unclipped(link, branch, qdd), in.effort_limit[link.dof],
                        options.implicit_drives);
   }
   // Returns the force of drive and limit that a solve with the given branch assumes.
@@ -130,7 +130,7 @@ struct StepDrives {
     return term.force - term.diagonal * qdd;
   }
   Branches<T> next(const Link& link, const Branches<T>& branch, const T& qdd, bool keep) const {
-    return next_branch(branch, asked(link, branch, qdd), in.effort_limit[link.dof],
+    return next_branch(branch, unclipped(link, branch, qdd), in.effort_limit[link.dof],
                        options.implicit_drives, keep);
   }
 };

@@ -201,15 +201,15 @@ inline bool push_dual_friction(const Tree<DualFloat>& tree, Workspace<DualFloat>
 // model.
 inline void push_absent_friction(const Tree<DualFloat>& tree, Workspace<DualFloat>& w,
                                  const DualFloat* friction, float dt) {
-  DualFloat* const answer = w.rhs;
+  DualFloat* const response = w.rhs;
   for (int32_t k = 0; k < tree.dof_count; ++k) {
     const DualFloat& limit = friction[tree.first_dof + k];
     const float rate = w.qd_next[k].value;
     if (limit.value > 0.0f || limit.tangent == 0.0f || math::abs(rate) <= kLeastSlip) continue;
     for (int32_t x = 0; x < tree.dof_count; ++x)
-      answer[x] = DualFloat(0.0f, x == k ? (rate > 0.0f ? -dt : dt) * limit.tangent : 0.0f);
-    solve(tree, w, answer);
-    for (int32_t x = 0; x < tree.dof_count; ++x) w.qd_next[x] = w.qd_next[x] + answer[x];
+      response[x] = DualFloat(0.0f, x == k ? (rate > 0.0f ? -dt : dt) * limit.tangent : 0.0f);
+    solve(tree, w, response);
+    for (int32_t x = 0; x < tree.dof_count; ++x) w.qd_next[x] = w.qd_next[x] + response[x];
   }
 }
 

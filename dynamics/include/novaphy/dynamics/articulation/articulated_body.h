@@ -151,7 +151,7 @@ void keep_inertia(const ArticulatedInertia<T>& p, LinkState<T>& s) {
   s.wrench_torque = {c[0][1], c[0][2], c[1][2]};
 }
 template <class T>
-ArticulatedInertia<T> kept_inertia(const LinkState<T>& s) {
+ArticulatedInertia<T> stored_inertia(const LinkState<T>& s) {
   const auto symmetric = [](const Vec3<T>& d, const Vec3<T>& off) {
     return Mat33<T>{{{d.x, off.x, off.y}, {off.x, d.y, off.z}, {off.y, off.z, d.z}}};
   };
@@ -205,7 +205,7 @@ NOVAPHY_LONG_TREES int32_t factor_links(const Tree<T>& tree, const T* q, Workspa
     const int32_t first = local_dof(tree, link);
     ArticulatedDof<T>* const dofs = articulated_dofs(tree, ws) + first;
     set_articulated_frame(tree, link, q, links[i], dofs);
-    ArticulatedInertia<T> p = kept_inertia(ws.links[i]);
+    ArticulatedInertia<T> p = stored_inertia(ws.links[i]);
     for (int32_t j = link.dofs; j-- > 0;) {
       ArticulatedDof<T>& dof = dofs[j];
       const bool linear = is_linear(link, j);
@@ -231,7 +231,7 @@ NOVAPHY_LONG_TREES int32_t factor_links(const Tree<T>& tree, const T* q, Workspa
     }
     if (link.parent < 0) continue;
     LinkState<T>& parent = ws.links[link.parent];
-    const ArticulatedInertia<T> more = at_parent(links[i], p), own = kept_inertia(parent);
+    const ArticulatedInertia<T> more = at_parent(links[i], p), own = stored_inertia(parent);
     keep_inertia(ArticulatedInertia<T>{math::add(own.linear, more.linear),
                                        math::add(own.coupling, more.coupling),
                                        math::add(own.angular, more.angular)},

@@ -193,8 +193,8 @@ float stable_contact_dt(const char* function, const Model& model, const SimState
 
 bool ContactWatch::is_due(bool is_dear) {
   ++steps_;
-  const bool all_said = warned_ && warned_of_friction_ && warned_of_depth_ && warned_of_pose_;
-  return !all_said && (!is_dear || is_rare(steps_));
+  const bool all_warned = warned_ && warned_of_friction_ && warned_of_depth_ && warned_of_pose_;
+  return !all_warned && (!is_dear || is_rare(steps_));
 }
 
 void ContactWatch::look(const Model& model, const SimState& state, const Contacts& contacts,

@@ -25,21 +25,21 @@ class TouchIndex {
   TouchIndex(int32_t bodies, int32_t particles) : bodies_(bodies), particles_(particles) {}
 
   void build(std::span<const TouchRow> rows) {
-    pair_numbers_.clear();
+    pair_indices_.clear();
     pairs_.clear();
     sides_.clear();
     for (const TouchRow& row : rows) {
-      const auto next = static_cast<int32_t>(pair_numbers_.size());
-      pairs_.push_back(row.pushes ? pair_numbers_.try_emplace(pair_key(row), next).first->second
+      const auto next = static_cast<int32_t>(pair_indices_.size());
+      pairs_.push_back(row.pushes ? pair_indices_.try_emplace(pair_key(row), next).first->second
                                   : -1);
       for (const TouchSide& side : row.sides) sides_.push_back(row.pushes ? number(side) : -1);
     }
-    of_pair_.build(pairs_, static_cast<int32_t>(pair_numbers_.size()));
+    of_pair_.build(pairs_, static_cast<int32_t>(pair_indices_.size()));
     of_side_.build(sides_, bodies_ + particles_);
   }
   std::span<const int32_t> of_pair(PairKey key) const {
-    const auto found = pair_numbers_.find(key);
-    if (found == pair_numbers_.end()) return {};
+    const auto found = pair_indices_.find(key);
+    if (found == pair_indices_.end()) return {};
     return of_pair_.items(found->second);
   }
   // Returns the rows of a side, as twice the row index plus the side's position (0 or 1) in the
@@ -55,7 +55,7 @@ class TouchIndex {
   }
 
   int32_t bodies_, particles_;
-  std::unordered_map<PairKey, int32_t> pair_numbers_;
+  std::unordered_map<PairKey, int32_t> pair_indices_;
   std::vector<int32_t> pairs_, sides_;
   IndexRows of_pair_, of_side_;
 };

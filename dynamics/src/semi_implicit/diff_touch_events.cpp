@@ -45,13 +45,13 @@ float* row(float* all, int32_t i, int32_t width) { return all + int64_t{i} * wid
 Tangent SideFrame::tangent(const StateRows& raw) const {
   Tangent t{};
   if (side.particle >= 0 && raw.particle_q != nullptr) {
-    t[kPlace] = load(row(raw.particle_q, side.particle, 3));
+    t[kPosition] = load(row(raw.particle_q, side.particle, 3));
     t[kVelocity] = load(row(raw.particle_qd, side.particle, 3));
   } else if (side.body >= 0 && raw.body_q != nullptr) {
     const float *const q = row(raw.body_q, side.body, 7), *const qd =
                                                               row(raw.body_qd, side.body, 6);
     t[kTurn] = turn_of(q + 3, turn) * 2.0;
-    t[kPlace] = load(q) + cross(t[kTurn], com);
+    t[kPosition] = load(q) + cross(t[kTurn], com);
     t[kVelocity] = load(qd);
     t[kSpin] = load(qd + 3);
   }
@@ -59,23 +59,23 @@ Tangent SideFrame::tangent(const StateRows& raw) const {
 }
 void SideFrame::add_gradient(const Tangent& g, const StateRows& raw) const {
   if (side.particle >= 0 && raw.particle_q != nullptr) {
-    add(row(raw.particle_q, side.particle, 3), g[kPlace]);
+    add(row(raw.particle_q, side.particle, 3), g[kPosition]);
     add(row(raw.particle_qd, side.particle, 3), g[kVelocity]);
   } else if (side.body >= 0 && raw.body_q != nullptr) {
     float *const q = row(raw.body_q, side.body, 7), *const qd = row(raw.body_qd, side.body, 6);
-    add(q, g[kPlace]);
-    add(q + 3, turned(g[kTurn] + cross(com, g[kPlace]), turn), 2.0);
+    add(q, g[kPosition]);
+    add(q + 3, turned(g[kTurn] + cross(com, g[kPosition]), turn), 2.0);
     add(qd, g[kVelocity]);
     add(qd + 3, g[kSpin]);
   }
 }
 void SideFrame::add_tangent(const Tangent& t, const StateRows& raw) const {
   if (side.particle >= 0 && raw.particle_q != nullptr) {
-    add(row(raw.particle_q, side.particle, 3), t[kPlace]);
+    add(row(raw.particle_q, side.particle, 3), t[kPosition]);
     add(row(raw.particle_qd, side.particle, 3), t[kVelocity]);
   } else if (side.body >= 0 && raw.body_q != nullptr) {
     float *const q = row(raw.body_q, side.body, 7), *const qd = row(raw.body_qd, side.body, 6);
-    add(q, t[kPlace] - cross(t[kTurn], com));
+    add(q, t[kPosition] - cross(t[kTurn], com));
     add(q + 3, turned(t[kTurn], turn), 0.5);
     add(qd, t[kVelocity]);
     add(qd + 3, t[kSpin]);
@@ -84,13 +84,13 @@ void SideFrame::add_tangent(const Tangent& t, const StateRows& raw) const {
 Tangent SideFrame::gradient(const StateRows& raw) const {
   Tangent g{};
   if (side.particle >= 0 && raw.particle_q != nullptr) {
-    g[kPlace] = load(row(raw.particle_q, side.particle, 3));
+    g[kPosition] = load(row(raw.particle_q, side.particle, 3));
     g[kVelocity] = load(row(raw.particle_qd, side.particle, 3));
   } else if (side.body >= 0 && raw.body_q != nullptr) {
     const float *const q = row(raw.body_q, side.body, 7), *const qd =
                                                               row(raw.body_qd, side.body, 6);
-    g[kPlace] = load(q);
-    g[kTurn] = turn_of(q + 3, turn) * 0.5 - cross(com, g[kPlace]);
+    g[kPosition] = load(q);
+    g[kTurn] = turn_of(q + 3, turn) * 0.5 - cross(com, g[kPosition]);
     g[kVelocity] = load(qd);
     g[kSpin] = load(qd + 3);
   }
@@ -125,7 +125,7 @@ void ramp_jvp(const TouchRamp& ramp, const RecordedPair& pair, const StateRows& 
   for (size_t i = 0; i < 2; ++i) {
     const Tangent t = ramp.frames[i].tangent(x);
     const Vec3d& arm = ramp.row.sides[i].arm;
-    gap += kSign[i] * dot(ramp.row.normal, t[kPlace] + cross(t[kTurn], arm));
+    gap += kSign[i] * dot(ramp.row.normal, t[kPosition] + cross(t[kTurn], arm));
     u = u + (t[kVelocity] + cross(t[kSpin], arm)) * kSign[i];
   }
   const auto& by = ramp.row.by_velocity;
@@ -167,7 +167,7 @@ void start_jvp(const TouchWork& work, const StateRows& in, const StateRows& out)
 }
 // Returns the rates after a step without the force of a touch, from the rates before the step.
 Tangent free_rates(const Tangent& f, double dt) {
-  return {f[kPlace] + f[kVelocity] * dt, f[kTurn] + f[kSpin] * dt, f[kVelocity], f[kSpin]};
+  return {f[kPosition] + f[kVelocity] * dt, f[kTurn] + f[kSpin] * dt, f[kVelocity], f[kSpin]};
 }
 void end_jvp(const TouchWork& work, const StateRows& out) {
   for (const auto& step : work.steps) {

@@ -16,7 +16,7 @@ namespace novaphy::diff::detail {
 // The tangent of a side: displacement of the center of mass (or the particle), rotation, and the
 // changes of both rates.
 using Tangent = std::array<Vec3d, 4>;
-constexpr size_t kPlace = 0, kTurn = 1, kVelocity = 2, kSpin = 3;
+constexpr size_t kPosition = 0, kTurn = 1, kVelocity = 2, kSpin = 3;
 inline double product(const Tangent& a, const Tangent& b) {
   double sum = 0.0;
   for (size_t k = 0; k < 4; ++k) sum += math::dot(a[k], b[k]);

@@ -55,13 +55,14 @@ const std::vector<float>* AdjointRecord::gradient(const nova::Tensor& leaf) cons
   return nullptr;
 }
 AdjointRecord::Step& AdjointRecord::add(const void* of) {
-  place_[of] = steps.size();
+  step_index_[of] = steps.size();
   return steps.emplace_back();
 }
 AdjointRecord::Step* AdjointRecord::entry_of(const void* step) {
   if (current_record == nullptr) return nullptr;
-  const auto found = current_record->place_.find(step);
-  return found == current_record->place_.end() ? nullptr : &current_record->steps[found->second];
+  const auto found = current_record->step_index_.find(step);
+  return found == current_record->step_index_.end() ? nullptr
+                                                    : &current_record->steps[found->second];
 }
 
 AdjointRecord* AdjointRecord::current() { return current_record; }

@@ -72,7 +72,7 @@ struct NOVAPHY_DYNAMICS_API AdjointRecord : nova::Tape::Witness {
   };
 
  private:
-  std::unordered_map<const void*, size_t> place_;
+  std::unordered_map<const void*, size_t> step_index_;
 };
 
 // Runs the tape's backward pass with a new record, which replaces the tape's earlier record.

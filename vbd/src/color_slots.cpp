@@ -246,7 +246,7 @@ void ColorSlots::build(const Model& model, int lanes) {
   find_components(model);
   collect(model);
   make_groups(colors);
-  numbers_begin_.assign(1, 0);
+  floats_begin_.assign(1, 0);
   for_roles([&](auto is) {
     using Slot = typename decltype(is)::Slot;
     Table& table = tables_[is.role];
@@ -254,7 +254,7 @@ void ColorSlots::build(const Model& model, int lanes) {
       lay_slots<Slot>(table, static_cast<const int32_t*>(indices.raw()), indices.rows());
     });
     table.floats.assign(table.sources.size() * static_cast<size_t>(kFloats[is.role]), 0.0f);
-    numbers_begin_.push_back(numbers_begin_.back() + static_cast<int64_t>(table.floats.size()));
+    floats_begin_.push_back(floats_begin_.back() + static_cast<int64_t>(table.floats.size()));
   });
 }
 

@@ -52,7 +52,7 @@ class ColorSlots {
   const Table& table(int role) const { return tables_[role]; }
   // Returns the index of the first number of each role in the concatenated numbers of all roles.
   // The last entry is the count of all numbers.
-  const std::vector<int64_t>& numbers_begin() const { return numbers_begin_; }
+  const std::vector<int64_t>& floats_begin() const { return floats_begin_; }
   // Returns the index of the first number of a source in the numbers of its role. `source` is an
   // index in Table::sources.
   size_t place_of(int role, size_t source) const {
@@ -77,7 +77,7 @@ class ColorSlots {
   std::vector<int32_t> is_kinematic_;
   std::vector<int32_t> kinematic_, component_;
   std::vector<char> is_free_;  // of components
-  std::vector<int64_t> color_begin_, numbers_begin_;
+  std::vector<int64_t> color_begin_, floats_begin_;
   std::vector<int32_t> particle_, filled_;
   std::vector<float> mass_by_h2_;
   Table tables_[kRoles];

@@ -40,15 +40,14 @@ void StepAdjoint::build_tables() {
   }
   t.slot_particle = upload<int32_t>(particle, device);
   begins.insert(begins.end(), r.terms_begin.begin(), r.terms_begin.begin() + kRoles);
-  begins.insert(begins.end(), slots.numbers_begin().begin(),
-                slots.numbers_begin().begin() + kRoles);
+  begins.insert(begins.end(), slots.floats_begin().begin(), slots.floats_begin().begin() + kRoles);
   t.begins = upload<uint64_t>(begins, device);
   const IndexRows worlds = particles_of_worlds(step_.host_model());
   t.world_begin = upload<int32_t>(worlds.begins().data(), worlds.begins().size(), device);
   t.of_worlds = upload<int32_t>(worlds.all().data(), worlds.all().size(), device);
   tables_ = std::move(t);
   terms_ = DeviceArray<float>(static_cast<size_t>(r.terms_begin.back()), device);
-  numbers_ = DeviceArray<float>(static_cast<size_t>(slots.numbers_begin().back()), device);
+  numbers_ = DeviceArray<float>(static_cast<size_t>(slots.floats_begin().back()), device);
 }
 
 void StepAdjoint::reserve() {

@@ -61,7 +61,7 @@ class Direction {
     for_roles([&](auto is) {
       using Slot = typename decltype(is)::Slot;
       const ColorSlots::Table& table = step.slots().table(is.role);
-      float* const numbers = to.numbers.data() + step.slots().numbers_begin()[is.role];
+      float* const numbers = to.numbers.data() + step.slots().floats_begin()[is.role];
       const auto lanes = static_cast<size_t>(step.slots().lanes());
       const auto values = parameters_on_host<Slot>(m);
       const auto tangents =
@@ -124,7 +124,7 @@ SweepTangents tangents_along(const Step& step, const StepInputs& in,
   SweepTangents all;
   for (Rows* rows : {&all.x, &all.start, &all.target, &all.guess}) rows->resize(n);
   all.mass.resize(n);
-  all.numbers.resize(static_cast<size_t>(step.slots().numbers_begin().back()));
+  all.numbers.resize(static_cast<size_t>(step.slots().floats_begin().back()));
   const Direction d(all, step, in, direction);
   d.set_state();
   d.set_slots();

@@ -70,7 +70,7 @@ void StepAdjoint::put_elements(const StepDerivatives& g) const {
     const auto to = parameter_arrays<Element>(g, [](const Array& by) { return if_any(by); });
     if (std::all_of(to.begin(), to.end(), [](const Untyped& by) { return by.word == 0; })) return;
     const DeviceArray<uint64_t>& places = tables_.places[first];
-    const std::vector<int64_t>& begins = step_.slots().numbers_begin();
+    const std::vector<int64_t>& begins = step_.slots().floats_begin();
     novaphy::run(
         kernels().element_gradient, static_cast<int64_t>(places.rows() / Element::kCorners),
         {.places = std::array{&places, &tables_.places[last]},

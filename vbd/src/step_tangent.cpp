@@ -31,7 +31,7 @@ VbdTangentArguments StepTangent::arguments(size_t first_color, size_t last_color
                                            bool along) const {
   const std::vector<int64_t>& colors = step_.colors();
   int64_t begins[kRoles];
-  std::copy_n(step_.slots().numbers_begin().begin(), int{kRoles}, begins);
+  std::copy_n(step_.slots().floats_begin().begin(), int{kRoles}, begins);
   VbdSweepArguments sweep = step_.sweep(colors[first_color], colors[last_color]);
   if (!along) sweep.turns = 0;
   return {.sweep = sweep,

@@ -280,7 +280,7 @@ void ColorSlots::set_constants(const Model& model, float dt) {
         const float* const values = arrays[static_cast<size_t>(array)];
         p[n] = values != nullptr ? values[at] : 0.0f;
       });
-      float* const row = table.floats.data() + place_of(is.role, k);
+      float* const row = table.floats.data() + offset_of(is.role, k);
       Slot::put_numbers(corner, p, dt, [row, lanes](int n, float value) {
         row[static_cast<size_t>(n) * lanes] = value;
       });

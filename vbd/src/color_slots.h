@@ -55,7 +55,7 @@ class ColorSlots {
   const std::vector<int64_t>& floats_begin() const { return floats_begin_; }
   // Returns the index of the first number of a source in the numbers of its role. `source` is an
   // index in Table::sources.
-  size_t place_of(int role, size_t source) const {
+  size_t offset_of(int role, size_t source) const {
     const auto lanes = static_cast<size_t>(lanes_);
     return source / lanes * lanes * static_cast<size_t>(kFloats[role]) + source % lanes;
   }

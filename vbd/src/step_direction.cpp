@@ -74,7 +74,7 @@ class Direction {
           const auto of = static_cast<size_t>(array), row = static_cast<size_t>(at_row);
           p[n] = {at(values[of], row), at(tangents[of].rows, row)};
         });
-        float* const tangent = numbers + step.slots().place_of(is.role, k);
+        float* const tangent = numbers + step.slots().offset_of(is.role, k);
         Slot::put_numbers(corner, p, Tangent(h), [&](int n, const Tangent& number) {
           tangent[static_cast<size_t>(n) * lanes] = number.d;
         });

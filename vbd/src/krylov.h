@@ -80,7 +80,7 @@ KrylovResult refine_solution(const Components& of, const Rows& x, const Rows& lo
 }
 
 // The last search directions of a method, and their images under A.
-struct KeptDirections {
+struct StoredDirections {
   static constexpr size_t kMost = 24;  // count of directions before a restart
   const Components& components;
   std::vector<Rows> directions, images;
@@ -116,7 +116,7 @@ struct KeptDirections {
 template <class Precondition>
 void solve_krylov(const Components& of, Rows& x, Rows& residual, const Numbers& tolerance,
                   int32_t most, std::vector<KrylovResult>& results, Precondition&& precondition) {
-  KeptDirections kept{of, {}, {}, {}};
+  StoredDirections kept{of, {}, {}, {}};
   const Numbers scale = of.norms(residual);
   Numbers now(of.count, 1.0);
   Flags runs(of.count);

@@ -46,7 +46,7 @@ Descent find_descent(Step& step, Rows load, const Numbers& tolerance, int32_t sw
   Descent found = {Rows(load.size()), Rows(load.size()), Flags(of.count)};
   Flags runs(of.count);
   for (size_t c = 0; c < of.count; ++c) runs[c] = scale[c] > 0.0;
-  KeptDirections kept{of, {}, {}, {}};  // sizes: the curvatures
+  StoredDirections kept{of, {}, {}, {}};  // sizes: the curvatures
   for (int32_t k = 0; k < sweeps && any(runs); ++k) {
     kept.make_room();
     Rows z(load.size()), image(load.size());

@@ -11,7 +11,7 @@ namespace {
 
 // If a particle would pass a plane, it moves by this part of its distance to the plane.
 constexpr double kShare = 0.85;
-constexpr double kLeastRoom = 0.05;         // of a gap: least room of each side
+constexpr double kLeastShare = 0.05;        // of a gap: least room of each side
 constexpr char kByPlane = 1, kByReach = 2;  // the bound that stopped a particle
 
 }  // namespace
@@ -107,7 +107,7 @@ SelfContact::Plane SelfContact::plane_between(const SurfacePair& pair) const {
         std::max(pair.is_first(k) ? first : second, pair.is_first(k) ? -up : up);
   }
   const double both = first + second;
-  const double share = both > 0.0 ? std::clamp(second / both, kLeastRoom, 1.0 - kLeastRoom) : 0.5;
+  const double share = both > 0.0 ? std::clamp(second / both, kLeastShare, 1.0 - kLeastShare) : 0.5;
   return {normal, math::dot(normal, x[3]) + (top + best * share)};
 }
 

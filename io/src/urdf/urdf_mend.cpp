@@ -182,7 +182,7 @@ class Mender {
 
   // Returns whether a text is a number of the sign of `instead` that is infinite or that float32
   // cannot hold.
-  static bool is_beyond_numbers(const char* text, std::string_view instead) {
+  static bool is_out_of_range(const char* text, std::string_view instead) {
     std::string_view given = text == nullptr ? "" : text;
     while (given.ends_with(' ')) given.remove_suffix(1);
     while (given.starts_with(' ')) given.remove_prefix(1);
@@ -229,7 +229,7 @@ class Mender {
       notes_.mended(*limit, "effort, velocity: what is missing has no limit");
     for (const auto& [attribute, instead] :
          {std::pair{"lower", open[0]}, {"upper", open[1]}, {"effort", "1e6"}, {"velocity", "1e6"}})
-      if (is_beyond_numbers(limit->Attribute(attribute), instead)) {
+      if (is_out_of_range(limit->Attribute(attribute), instead)) {
         limit->SetAttribute(attribute, instead);
         notes_.mended(*limit, std::string(attribute) + ": a number this large is no limit");
       }

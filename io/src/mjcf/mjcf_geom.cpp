@@ -69,7 +69,7 @@ class GeomReader {
         defaults_.text(e_, "fluidshape", childclass_).value_or("none") != "none")
       context_.notes.left_out(e_, "fluidshape: the fluid acts on the box of the whole body");
     read_collision();
-    if (!read_place(*kind, type)) return {};
+    if (!read_pose_and_size(*kind, type)) return {};
     read_mass(*kind);
     read_surface();
     read_softness();
@@ -85,7 +85,7 @@ class GeomReader {
   bool is_seen_only() const { return geom_.shape.contype == 0 && geom_.shape.conaffinity == 0; }
 
   // Reads pose, size and mesh. Returns false if the geom is left out.
-  bool read_place(const Kind& kind, const std::string& type) {
+  bool read_pose_and_size(const Kind& kind, const std::string& type) {
     RobotShape& shape = geom_.shape;
     double v[6] = {};
     if (defaults_.numbers(e_, "pos", childclass_, std::span(v).first(3)))

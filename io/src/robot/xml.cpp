@@ -285,18 +285,18 @@ Element* XmlFile::replace(Element& element, const XmlFile& other) {
        e = e->NextSiblingElement()) {
     last = parent->InsertAfterChild(last, e->DeepClone(&document_));
     if (first == nullptr) first = last->ToElement();
-    keep_places(*e, *last->ToElement(), other);
+    copy_origins(*e, *last->ToElement(), other);
   }
   parent->DeleteChild(&element);
   return first;
 }
 
-void XmlFile::keep_places(const Element& from, Element& to, const XmlFile& other) {
+void XmlFile::copy_origins(const Element& from, Element& to, const XmlFile& other) {
   const RobotNote place = other.note(from, {});
   to.SetUserData(&origins_.emplace_back(place.file, place.line));
   Element* copy = to.FirstChildElement();
   for (const Element* e = from.FirstChildElement(); e != nullptr; e = e->NextSiblingElement()) {
-    keep_places(*e, *copy, other);
+    copy_origins(*e, *copy, other);
     copy = copy->NextSiblingElement();
   }
 }

@@ -85,7 +85,7 @@ class XmlFile {
     std::string file;
     int line;
   };
-  void keep_places(const Element& from, Element& to, const XmlFile& other);
+  void copy_origins(const Element& from, Element& to, const XmlFile& other);
 
   std::deque<Origin> origins_;  // origins of included elements; the elements point to these entries
   tinyxml2::XMLDocument document_;

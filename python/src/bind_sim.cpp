@@ -185,26 +185,26 @@ void add_model_pickle(ModelClass& c) {
       },
       [](const py::dict& kept) {
         const std::shared_ptr<Model> model = Model::restore(
-            kept_counts(kept), to_device(kept_value(kept, "device")),
-            to_axis(kept_value(kept, "up_axis")), kept_value(kept, "model_id").cast<uint64_t>());
+            unpickled_counts(kept), to_device(unpickled(kept, "device")),
+            to_axis(unpickled(kept, "up_axis")), unpickled(kept, "model_id").cast<uint64_t>());
         take_fields(*model, kept);
         model->accept_derived();
         model->keep_structure();
 #define NOVAPHY_TAKE(name, by_default, infinite, unit, doc) \
-  model->name = kept_value(kept, #name).cast<float>();
+  model->name = unpickled(kept, #name).cast<float>();
         NOVAPHY_MODEL_NUMBERS(NOVAPHY_TAKE)
 #undef NOVAPHY_TAKE
-        model->body_label = kept_value(kept, "body_label").cast<decltype(model->body_label)>();
-        model->shape_label = kept_value(kept, "shape_label").cast<decltype(model->shape_label)>();
-        model->joint_label = kept_value(kept, "joint_label").cast<decltype(model->joint_label)>();
+        model->body_label = unpickled(kept, "body_label").cast<decltype(model->body_label)>();
+        model->shape_label = unpickled(kept, "shape_label").cast<decltype(model->shape_label)>();
+        model->joint_label = unpickled(kept, "joint_label").cast<decltype(model->joint_label)>();
         model->articulation_label =
-            kept_value(kept, "articulation_label").cast<decltype(model->articulation_label)>();
+            unpickled(kept, "articulation_label").cast<decltype(model->articulation_label)>();
         model->actuator_label =
-            kept_value(kept, "actuator_label").cast<decltype(model->actuator_label)>();
+            unpickled(kept, "actuator_label").cast<decltype(model->actuator_label)>();
         model->max_joints_per_articulation =
-            kept_value(kept, "max_joints_per_articulation").cast<int32_t>();
+            unpickled(kept, "max_joints_per_articulation").cast<int32_t>();
         model->max_dofs_per_articulation =
-            kept_value(kept, "max_dofs_per_articulation").cast<int32_t>();
+            unpickled(kept, "max_dofs_per_articulation").cast<int32_t>();
         take_shape_pairs(*model, kept);
         return model;
       }));

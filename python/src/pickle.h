@@ -10,7 +10,7 @@
 
 namespace novaphy::python {
 
-inline const py::handle kept_value(const py::dict& kept, const char* name) {
+inline const py::handle unpickled(const py::dict& kept, const char* name) {
   require(kept.contains(name), ErrorKind::Value, "unpickle: expected ", name,
           ", which this version has; got the object of another version");
   return kept[name];
@@ -53,22 +53,22 @@ py::dict keep_fields(const Object& object) {
                   "requires_grad"_a = object.requires_grad);
 }
 
-inline ModelCounts kept_counts(const py::dict& kept) {
-  const auto from = kept_value(kept, "counts").cast<py::dict>();
+inline ModelCounts unpickled_counts(const py::dict& kept) {
+  const auto from = unpickled(kept, "counts").cast<py::dict>();
   ModelCounts counts;
-#define NOVAPHY_KEPT_COUNT(name, doc) counts.name = kept_value(from, #name).cast<int32_t>();
-  NOVAPHY_MODEL_COUNTS(NOVAPHY_KEPT_COUNT)
-#undef NOVAPHY_KEPT_COUNT
+#define NOVAPHY_UNPICKLED_COUNT(name, doc) counts.name = unpickled(from, #name).cast<int32_t>();
+  NOVAPHY_MODEL_COUNTS(NOVAPHY_UNPICKLED_COUNT)
+#undef NOVAPHY_UNPICKLED_COUNT
   return counts;
 }
 
 template <class Object>
 void take_fields(Object& object, const py::dict& kept) {
-  const auto arrays = kept_value(kept, "arrays").cast<py::dict>();
+  const auto arrays = unpickled(kept, "arrays").cast<py::dict>();
   for_each_field(object, [&](const FieldInfo& info, Array& array) {
-    array.assign(kept_value(arrays, std::string(info.name).c_str()).cast<const Array&>());
+    array.assign(unpickled(arrays, std::string(info.name).c_str()).cast<const Array&>());
   });
-  object.requires_grad = kept_value(kept, "requires_grad").cast<bool>();
+  object.requires_grad = unpickled(kept, "requires_grad").cast<bool>();
 }
 
 // Adds pickle support to SimState and Control, which have the id of their model.
@@ -81,8 +81,8 @@ void add_field_pickle(py::class_<Object>& c) {
         return kept;
       },
       [](const py::dict& kept) {
-        Object object(kept_counts(kept), to_device(kept_value(kept, "device")),
-                      kept_value(kept, "model_id").cast<uint64_t>());
+        Object object(unpickled_counts(kept), to_device(unpickled(kept, "device")),
+                      unpickled(kept, "model_id").cast<uint64_t>());
         take_fields(object, kept);
         return object;
       }));

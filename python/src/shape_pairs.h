@@ -42,14 +42,14 @@ inline void keep_shape_pairs(const Model& model, py::dict& kept) {
 
 inline void take_shape_pairs(Model& model, const py::dict& kept) {
   using Column = std::vector<int32_t>;
-  model.shape_collision_filter_pairs = kept_value(kept, "shape_collision_filter_pairs")
+  model.shape_collision_filter_pairs = unpickled(kept, "shape_collision_filter_pairs")
                                            .cast<decltype(model.shape_collision_filter_pairs)>();
-  const auto columns = kept_value(kept, "shape_pair_columns").cast<py::tuple>();
+  const auto columns = unpickled(kept, "shape_pair_columns").cast<py::tuple>();
   ShapePairList& list = model.shape_pair_list();
   list.follow(std::make_shared<const ShapePairList::Columns>(
       ShapePairList::Columns{columns[0].cast<Column>(), columns[1].cast<Column>(),
                              columns[2].cast<Column>(), columns[3].cast<Column>()}));
-  const py::handle pairs = kept_value(kept, "shape_contact_pairs");
+  const py::handle pairs = unpickled(kept, "shape_contact_pairs");
   if (!pairs.is_none()) list.set(DeviceArray<Vec2i>(pairs.cast<const Array&>()));
 }
 

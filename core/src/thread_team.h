@@ -1,7 +1,8 @@
-// ThreadTeam: threads that share the chunks of one job after another. A job is a call of run(). If
-// jobs follow each other quickly, starting a job costs one write and one read, without a system
-// call. Helper threads wait for the next job for a while before they return to oneTBB. Within a
-// job, threads enter the next phase on their own when all chunks of the phase before it are done.
+// ThreadTeam: threads that run jobs, one after another. A job is a call of run(). The threads share
+// its chunks. If jobs follow each other quickly, a start costs one write and one read, and no
+// system call. Helper threads wait for the next job for a while before they return to oneTBB.
+// Within a job, threads enter the next phase on their own when all chunks of the phase before it
+// are done.
 #pragma once
 
 #include <oneapi/tbb/global_control.h>

@@ -120,7 +120,7 @@ class Puppet:
     def overlaps(self) -> list[tuple[str, str, float]]:
         """Return the pairs of overlapping shapes, deepest first.
 
-        A pair has two texts, "shape" of "body", and the depth of the overlap (m).
+        A pair has a text "shape" of "body" for each shape, and the depth of the overlap (m).
         """
         names, radius = shape_names(self.model), self.model.shape_collision_radius.numpy()
         deepest: dict[tuple[int, int], float] = {}

@@ -1,6 +1,6 @@
 // Support for pickle, copy and deepcopy: the content of an object as Python values. Arrays are
-// copied over the host, and unpickled to the device that they were on. Gradients and tapes are left
-// out.
+// copied through the host, and unpickled to the device that they were on. Gradients and tapes are
+// left out.
 #pragma once
 
 #include <utility>

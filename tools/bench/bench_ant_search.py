@@ -7,11 +7,11 @@ All methods begin with 80 parameters of 0 and end with the stage `polish`, which
     staged       random search in the same stages, with the servo: the same losses and frames
     plain        random search only in the last of these stages, without the servo
 
-Random search takes Gaussian steps of adaptive length. It gets the processor time that derivatives
-took, and the same number of generations of `polish`. --seconds and --generations give these budgets
-if derivatives has not run. Each seed is a process with two threads. Its JSON file in the folder has
-the stages that are done, from which an interrupted run continues. Derivatives are not random before
-`polish`, so they need one seed.
+Random search takes Gaussian steps of adaptive length. Random search gets the processor time that
+derivatives took, and the same number of generations of `polish`. --seconds and --generations give
+these budgets if derivatives has not run. Each seed is a process with two threads. A JSON file in
+the folder stores the finished stages, so that an interrupted run can continue. Derivatives are not
+random before `polish`, so they need one seed.
     python tools/bench/bench_ant_search.py results               # the missing runs, then the table
     python tools/bench/bench_ant_search.py results --jobs 8      # 8 processes at once
     python tools/bench/bench_ant_search.py results --page        # the table of the guide

@@ -2,8 +2,8 @@
 //
 // Two kernels move the particles of a color, with the same bits. The kernel vbd_move uses one
 // thread for each particle. In vbd_move_by_blocks, for devices only, the threads of a block share
-// the slots of some groups. One thread for each component of a particle's force and stiffness then
-// adds the slots in slot order.
+// the slots of some groups of particles. One thread for each component of a particle's force and
+// stiffness then adds the slots in slot order.
 #pragma once
 
 #include "novaphy/core/row_kernel.h"

@@ -1,7 +1,7 @@
 // The prelude of device code defines the names in emitted source (<novaphy/program/emit.h>) for one
-// row per thread. vendors/*.cuh come before the prelude. The build replaces each include by the
-// file. The arithmetic has the bits of backends/cpu/src/lanes.h: no contraction, no flush to zero,
-// and correctly rounded division and square root.
+// row per thread. vendors/*.cuh come before the prelude. The build inserts the included files. The
+// arithmetic has the bits of backends/cpu/src/lanes.h: no contraction, no flush to zero, and
+// correctly rounded division and square root.
 typedef signed char int8_t;
 typedef unsigned char uint8_t;
 typedef int int32_t;

@@ -35,7 +35,7 @@ class PageObjects:
         self.handles: dict[str, tuple[Any, Any]] = {}
 
     def send(self, scene: Scene) -> None:
-        """Update the page to a scene."""
+        """Update the page so that it shows a scene."""
         wanted = {f"/{name}" for name in (*scene.instances, *scene.lines)}
         for name in [name for name in self.handles if name not in wanted]:
             self.handles.pop(name)[0].remove()

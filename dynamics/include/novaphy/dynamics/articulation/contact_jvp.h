@@ -1,5 +1,5 @@
 // Tangents of contacts and dry friction for the active constraint rows: the transpose of
-// contact_adjoint.h. First, dual numbers carry the step with constant impulses, which gives the
+// contact_adjoint.h. First, the step runs with dual numbers and constant impulses, which gives the
 // derivatives r of the rows. Then the tangents lambda' of the impulses solve (B J M^-1 J^T + R)
 // lambda' = -r, with B and R of contact_adjoint.h. Freestanding: shared by host and device kernels.
 // Members of the template argument `trees`:

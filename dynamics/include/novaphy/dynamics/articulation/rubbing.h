@@ -1,9 +1,9 @@
 // Step sizes of PGS for a contact normal whose friction pushes against it, so that sweeps converge.
 //
 // Let friction lambda_t = mu lambda_n d slide along the direction d. A sweep then multiplies the
-// error of the normal impulse by -mu (J_n Y_t d) / (J_n Y_n). Below a leg that leans backward the
-// factor is below -1, and sweeps never converge. Sweeps converge with the divisor J_n Y_n + mu J_n
-// Y_t d of both rows together.
+// error of the normal impulse by -mu (J_n Y_t d) / (J_n Y_n). At the foot of a leg that leans
+// backward the factor is below -1, and sweeps never converge. Sweeps converge with the divisor J_n
+// Y_n + mu J_n Y_t d of both rows together.
 #pragma once
 
 #include "novaphy/dynamics/articulation/pgs.h"

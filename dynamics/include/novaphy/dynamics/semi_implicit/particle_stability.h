@@ -6,9 +6,9 @@
 // (dt^2 K + 2 dt D) is 4. K_e, D_e are the blocks of an element of n_e particles in its rest shape
 // (spring_trace.h, triangle_trace.h, bending_trace.h, tetrahedron_trace.h). Sums are over the
 // elements e of a particle i:
-//   enough  dt^2 sum n_e K_e,ii + 2 dt sum n_e D_e,ii <= 4 m_i for all i, because
-//           x^T K_e x <= n_e sum_i x_i^T K_e,ii x_i
-//   needed  the same without n_e; a particle beyond it diverges even if all others are fixed
+//   sufficient  dt^2 sum n_e K_e,ii + 2 dt sum n_e D_e,ii <= 4 m_i for all i, because
+//               x^T K_e x <= n_e sum_i x_i^T K_e,ii x_i
+//   necessary   the same without n_e: else a particle diverges even if all others are fixed
 // Contacts are those of contact_stability.h, of one particle with a shape (n_e = 1). The stiffness
 // ke and the damping kd act along the normal, kd in every second step. The friction kf acts across
 // the normal. The bound b = particle_kf_bound limits kf to b m/dt, so friction contributes at most

@@ -25,9 +25,10 @@
 //     BALL    only damping and joint_f, about the axes of the parent's joint frame
 //   DISTANCE: l = |x|; f = unit(x) (ke (l - upper) + kd dl/dt) where l > upper, likewise where
 //     l < lower, 0 between, and 0 where l = 0
-// Source: Newton 1.8.0, SolverSemiImplicit. Newton differs: it keeps no distance, its angles wrap
-// at a full turn, and FIXED takes the longer rotation for w < 0. The anchor of a displaced slide
-// stays behind in Newton, which creates momentum. Revolute joints agree with Newton to rounding.
+// Source: Newton 1.8.0, SolverSemiImplicit. Differences in Newton: DISTANCE has no force, angles
+// wrap at a full turn, and FIXED takes the longer rotation for w < 0. If a slide is displaced, the
+// force on its parent acts at the parent's anchor, which creates momentum. Revolute joints agree
+// with Newton to rounding.
 //
 // Gradient: exact in all inputs but the modes, away from the kinks. At limits and at effort_limit
 // the gradient is that of the side on which the value is. At r = identity and l = 0 the gradient is

@@ -146,15 +146,15 @@ def bench(args: argparse.Namespace) -> int:
     def note(*_: object, **__: object) -> None:
         times.append(time.perf_counter())
 
-    said = io.StringIO()
+    output = io.StringIO()
     with (
         mock.patch.multiple(Stage, iteration=note, show=note),
-        contextlib.redirect_stdout(said),
-        contextlib.redirect_stderr(said),
+        contextlib.redirect_stdout(output),
+        contextlib.redirect_stderr(output),
     ):
         start_demo(path, ["--headless", str(known.count), *options])
     if len(times) < 4:
-        raise ValueError(f"bench: the demo stopped early: {said.getvalue().strip()}")
+        raise ValueError(f"bench: the demo stopped early: {output.getvalue().strip()}")
     # The first two iterations are left out, because they may record a capture or compile kernels.
     each = np.diff(times)[1:]
     result = {

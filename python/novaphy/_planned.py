@@ -283,9 +283,9 @@ def missing_from_module(module: str, name: str) -> Exception:
     A name in the tables gives a NotImplementedError. ``from module import name`` shows its message,
     whereas it replaces the message of an AttributeError by "cannot import name".
     """
-    told = _sentence(module, name)
-    if told:
-        return NotImplementedError(told)
+    explanation = _sentence(module, name)
+    if explanation:
+        return NotImplementedError(explanation)
     return AttributeError(f"module {module!r} has no attribute {name!r}", name=name)
 
 
@@ -299,11 +299,11 @@ def explain_members(cls: type, owner: str = "", base: str = "") -> None:
     """
 
     def get(self: object, name: str) -> object:
-        asked = owner or type(self).__name__
-        told = _sentence(asked, name, base)
-        if told:
-            raise PlannedError(told)
-        raise AttributeError(f"{asked!r} object has no attribute {name!r}", name=name, obj=self)
+        label = owner or type(self).__name__
+        explanation = _sentence(label, name, base)
+        if explanation:
+            raise PlannedError(explanation)
+        raise AttributeError(f"{label!r} object has no attribute {name!r}", name=name, obj=self)
 
     def assign(self: object, name: str, value: object) -> None:
         try:

@@ -68,8 +68,8 @@ def rows_of_facts(of: Certificate) -> list[list[str]]:
         for k, m in enumerate(of.margins[:SHOWN])
     ]
     if np.isfinite(of.steps_per_contact):
-        told = f"{_number(of.steps_per_contact)} steps of a touch of the stiffest penalty contact"
-        facts.append(["contact", told])
+        steps = f"{_number(of.steps_per_contact)} steps of a touch of the stiffest penalty contact"
+        facts.append(["contact", steps])
     facts.append(["cost", f"{of.cost:.1f} gradients of {1e3 * of.seconds:.3g} ms"])
     return facts
 

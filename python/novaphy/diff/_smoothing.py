@@ -22,7 +22,7 @@ class Estimate(NamedTuple):
     clipped: float  # share of the sample gradients that were shortened
     tail: float  # length of the longest sample gradient in units of the median length
 
-    def told(self, parameters: Parameters) -> dict[str, Any]:
+    def entries(self, parameters: Parameters) -> dict[str, Any]:
         """Return the entries for the argument `info` of smoothed, in units and form of theta."""
         sigma, form = parameters.sigma, parameters.natural
         return {
@@ -197,7 +197,7 @@ def smoothed(
     if wanted:
         found = _estimate(losses, gradients, w, order, antithetic, clip)
         if info is not None:
-            info.update(found.told(parameters))
+            info.update(found.entries(parameters))
         if on_tape:
             return _linear_model(parameters, value, found.gradient / parameters.sigma)
     return tensor([value], device=next(iter(parameters.tensors.values())).device)

@@ -88,9 +88,9 @@ def save_parameters(
                 f"without NUL and not ending in '.npy', got {name!r}"
             )
         arrays[name] = _finite(_tensor(value, f"parameters[{name!r}]").numpy(), name)
-    told = {} if meta is None else dict(_mapping(meta, _META))
+    metadata = {} if meta is None else dict(_mapping(meta, _META))
     try:
-        text = json.dumps(told, sort_keys=True, allow_nan=False)
+        text = json.dumps(metadata, sort_keys=True, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{_META}: expected what JSON can hold: {error}") from None
     save_npz(path, **arrays, **{_META: np.array(text)})
@@ -187,8 +187,8 @@ def _read(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str
 def _check_count(file: BinaryIO, found: int) -> None:
     """Check the number of members at the end of an archive, because damage may hide members."""
     file.seek(-22, os.SEEK_END)
-    mark, said = struct.unpack("<4s6xH10x", file.read())
-    if mark != b"PK\5\6" or said != found:
+    mark, count = struct.unpack("<4s6xH10x", file.read())
+    if mark != b"PK\5\6" or count != found:
         raise ValueError(f"it has {found} members, and another number at its end")
 
 

@@ -64,7 +64,7 @@ class Video:
         self._process.stdin.close()
         code = self._process.wait()
         self._messages.seek(0)
-        said = self._messages.read().decode(errors="replace").strip()
+        messages = self._messages.read().decode(errors="replace").strip()
         self._messages.close()
         if code:
-            raise RuntimeError(f"ffmpeg could not write {self.path}: {said}")
+            raise RuntimeError(f"ffmpeg could not write {self.path}: {messages}")

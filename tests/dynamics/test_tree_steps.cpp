@@ -192,7 +192,7 @@ void expect_lanes_as_alone(bool spread, bool touching, int steps, int tail = 0) 
   for (const char* name : {"baseline", "avx2", "avx512"}) {
     if (!has_level(name)) continue;
     const Level level(name);
-    for (const int threads : {1, 3}) {
+    for (const int threads : {1, 3, 11}) {
       set_num_threads(threads);
       const Run together = run(worlds, 0, spread, touching, steps, tail);
       EXPECT_EQ(together.most_contacts > 21, touching);

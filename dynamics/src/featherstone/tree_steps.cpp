@@ -40,7 +40,6 @@ const LaneLevel& lane_level() {
 namespace {
 
 namespace art = articulation;
-constexpr int64_t kBatchChunk = 2;
 constexpr size_t kFewest = 3;  // smallest number of trees for which SIMD lanes are faster
 
 // Returns the arrays of a step. Where actuators write the arrays of drives, these are not constant.
@@ -206,6 +205,15 @@ void TreeSteps::renew(const Model& m) {
   mode_stamp_.set(m.joint_target_mode);
 }
 
+// Returns the largest number of trees in a batch. Fewer trees than threads times lanes make smaller
+// batches, so that each thread has trees.
+int32_t TreeSteps::most_in_batch(size_t trees, int32_t group) const {
+  if (group < 0 || !groups_[static_cast<size_t>(group)].same) return level_.lanes;
+  const auto threads = static_cast<size_t>(in_parallel() ? 1 : num_threads());
+  return static_cast<int32_t>(
+      std::min((trees + threads - 1) / threads, static_cast<size_t>(level_.lanes)));
+}
+
 // Makes batches. Trees with equal constants are sorted by their number of contacts, so that the
 // lanes of a batch have similar numbers.
 void TreeSteps::make_packs(std::span<const int32_t> trees, const TreeContacts* contacts) {
@@ -231,7 +239,8 @@ void TreeSteps::make_packs(std::span<const int32_t> trees, const TreeContacts* c
     };
     Batch batch{group, static_cast<int32_t>(i), 0, 0};
     const bool coupled = is_coupled(sorted_[i]);
-    for (; i < sorted_.size() && batch.count < level_.lanes; ++i, ++batch.count) {
+    const int32_t most = most_in_batch(trees.size(), group);
+    for (; i < sorted_.size() && batch.count < most; ++i, ++batch.count) {
       const auto tree = static_cast<size_t>(sorted_[i]);
       if (first_[tree].group != group || is_coupled(sorted_[i]) != coupled) break;
       batch.contacts = std::max(batch.contacts, counts_[tree]);
@@ -472,17 +481,13 @@ void TreeSteps::step(const ArticulationStepArguments& a, const Model& m,
   }
   renew(m);
   make_packs(trees, contacts);
-  for_chunks(
-      static_cast<int64_t>(batches_.size()), kBatchChunk, [&](int64_t begin, int64_t end, int64_t) {
-        for (int64_t p = begin; p < end; ++p) {
-          const Batch& batch = batches_[static_cast<size_t>(p)];
-          if (has_lanes(batch) && lanes(a, m, batch, options, contacts, keep, thread_memory()))
-            continue;
-          for (int32_t i = 0; i < batch.count; ++i)
-            single(a, sorted_[static_cast<size_t>(batch.begin + i)], options, contacts, keep,
-                   thread_memory());
-        }
-      });
+  for_chunks(static_cast<int64_t>(batches_.size()), 1, [&](int64_t p, int64_t, int64_t) {
+    const Batch& batch = batches_[static_cast<size_t>(p)];
+    if (has_lanes(batch) && lanes(a, m, batch, options, contacts, keep, thread_memory())) return;
+    for (int32_t i = 0; i < batch.count; ++i)
+      single(a, sorted_[static_cast<size_t>(batch.begin + i)], options, contacts, keep,
+             thread_memory());
+  });
 }
 
 void TreeSteps::vjp_lanes(const ArticulationStepVjpArguments& a, const Model& m, const Batch& batch,
@@ -521,18 +526,12 @@ void TreeSteps::vjp(const ArticulationStepVjpArguments& a, const Model& m,
   }
   renew(m);
   make_packs(trees, nullptr);
-  for_chunks(static_cast<int64_t>(batches_.size()), kBatchChunk,
-             [&](int64_t begin, int64_t end, int64_t) {
-               for (int64_t p = begin; p < end; ++p) {
-                 const Batch& batch = batches_[static_cast<size_t>(p)];
-                 if (has_lanes(batch)) {
-                   vjp_lanes(a, m, batch, thread_memory());
-                   continue;
-                 }
-                 for (int32_t i = 0; i < batch.count; ++i)
-                   vjp_row(a, sorted_[static_cast<size_t>(batch.begin + i)], count);
-               }
-             });
+  for_chunks(static_cast<int64_t>(batches_.size()), 1, [&](int64_t p, int64_t, int64_t) {
+    const Batch& batch = batches_[static_cast<size_t>(p)];
+    if (has_lanes(batch)) return vjp_lanes(a, m, batch, thread_memory());
+    for (int32_t i = 0; i < batch.count; ++i)
+      vjp_row(a, sorted_[static_cast<size_t>(batch.begin + i)], count);
+  });
 }
 
 }  // namespace novaphy

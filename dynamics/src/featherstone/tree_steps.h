@@ -74,6 +74,7 @@ class TreeSteps {
 
   void find_groups(const Model& model);
   void renew(const Model& model);
+  int32_t most_in_batch(size_t trees, int32_t group) const;
   void make_packs(std::span<const int32_t> trees, const TreeContacts* contacts);
   void constants_of(const Model& model, int32_t tree, float* to, int32_t stride) const;
   void single(const ArticulationStepArguments& step, int64_t tree,

@@ -197,19 +197,28 @@ ContactShapes ContactSteps::shapes(const ContactArguments& contacts) const {
           .bodies = model_.body_count()};
 }
 
-// Lists the contacts of each group in their order.
+// Lists the contacts of each group in their order. The host leaves out the empty rows at the end.
 void ContactSteps::list_contacts(const ContactArguments& contacts, const ContactRecord& record,
-                                 const SleepingTrees* sleeping) const {
-  run(contact_kernels().contact_group, contacts.most,
-      {.shapes = shapes(contacts),
-       .rows = sleeping != nullptr ? Given<ArticulationRows>(direct(rows_.data()))
-                                   : Given<ArticulationRows>(Untyped(articulations_.rows())),
-       .count = contacts.count,
-       .group = group_,
-       .force = contacts.force,
-       .impulses = record.impulses});
+                                 bool on_host, const SleepingTrees* sleeping) const {
+  const ArticulationContactGroupArguments a = {
+      .shapes = shapes(contacts),
+      .rows = sleeping != nullptr ? Given<ArticulationRows>(direct(rows_.data()))
+                                  : Given<ArticulationRows>(Untyped(articulations_.rows())),
+      .count = contacts.count,
+      .group = group_,
+      .force = contacts.force,
+      .impulses = record.impulses};
+  int64_t rows = contacts.most;
+  if (on_host) {
+    constexpr int64_t kChunk = 128;
+    const ArticulationContactGroupArguments here = in_memory(a);
+    rows = std::clamp<int64_t>(*here.count, 0, rows);
+    run_rows(articulation_contact_group, rows, here, kChunk);
+  } else {
+    run(contact_kernels().contact_group, rows, a);
+  }
   run(incidence(), groups_,
-      {.table = group_, .slots = contacts.most, .offsets = contact_begin_, .items = contacts_});
+      {.table = group_, .slots = rows, .offsets = contact_begin_, .items = contacts_});
 }
 
 ContactGroupArguments ContactSteps::groups(const ContactArguments& contacts,
@@ -291,7 +300,7 @@ void ContactSteps::step(const ArticulationStepArguments& of, const ContactArgume
   const bool forgets = record.notes && reserve_notes();
   const ContactKernels& k = contact_kernels();
   if (sleeping != nullptr) hold_some(*sleeping);
-  list_contacts(contacts, record, sleeping);
+  list_contacts(contacts, record, lanes != nullptr, sleeping);
   const bool fuses = fits_ && lanes == nullptr;
   const int64_t trees = articulations_.count();
   const int64_t stride = fuses ? kIslandMemory / static_cast<int64_t>(sizeof(float)) : tree_stride_;
@@ -317,8 +326,12 @@ void ContactSteps::step(const ArticulationStepArguments& of, const ContactArgume
         run(kernel, n, a);
     };
     if (sleeping != nullptr) open_some(*sleeping, contacts);
-    launch(k.contact_open, articulation_contact_open, trees);
-    launch(k.contact_islands, articulation_contact_islands, groups_, true);
+    if (lanes != nullptr && sleeping == nullptr && trees <= groups_ * kTreeRows) {
+      open_groups(trees);
+    } else {
+      launch(k.contact_open, articulation_contact_open, trees);
+      launch(k.contact_islands, articulation_contact_islands, groups_, true);
+    }
     const bool some = lanes == nullptr || take_trees(o, *lanes, record.records, sleeping);
     if (some && lanes != nullptr) launch(k.contact_start, articulation_contact_start, trees);
     if (some && lanes != nullptr) islands_.solve(*last_, trees);
@@ -326,7 +339,33 @@ void ContactSteps::step(const ArticulationStepArguments& of, const ContactArgume
     if (some) launch(k.contact_finish, articulation_contact_finish, trees);
     if (record.notes) launch(k.contact_notes, articulation_contact_notes, groups_, true);
   }
-  if (o.warm_start && (lanes == nullptr || !has_failed())) keep(contacts.most, of.in.dt);
+  if (!o.warm_start || (lanes != nullptr && has_failed())) return;
+  if (lanes != nullptr && !record.notes)
+    take_kept(of.in.dt);
+  else
+    keep(contacts.most, of.in.dt);
+}
+
+// Finds the links' frames and the islands of small groups. A thread takes groups through both.
+void ContactSteps::open_groups(int64_t trees) const {
+  const auto* const words = reinterpret_cast<const uint64_t*>(&*last_);
+  const int32_t *const begins = last_->of.tree_begin, *const list = last_->of.trees;
+  for_chunks(groups_, kTreeRows, [&](int64_t begin, int64_t end, int64_t) {
+    for (int64_t group = begin; group < end; ++group) {
+      for (int32_t k = begins[group]; k < begins[group + 1]; ++k)
+        articulation_contact_open.rows(words, trees, list[k], list[k] + 1);
+      articulation_contact_islands.rows(words, groups_, group, group + 1);
+    }
+  });
+}
+
+// The same as `keep` on the host, without copies: the lists of both steps change places.
+void ContactSteps::take_kept(const Number<float>& dt) {
+  std::swap(kept_, now_);
+  std::swap(kept_begin_, contact_begin_);
+  *kept_dt_.mutable_data() = dt.value;
+  if (!has_friction_) return;
+  std::copy_n(now_friction_.data(), now_friction_.rows(), kept_friction_.mutable_data());
 }
 
 void ContactSteps::keep(int64_t contacts, const Number<float>& dt) {

@@ -159,9 +159,11 @@ class ContactSteps {
   void reserve_adjoint(bool dry, bool materials);
   // `record`: which results to clear.
   void list_contacts(const ContactArguments& contacts, const ContactRecord& record,
-                     const SleepingTrees* sleeping = nullptr) const;
+                     bool on_host = false, const SleepingTrees* sleeping = nullptr) const;
   // Keeps the impulses of a step for the warm start of the next step.
   void keep(int64_t contacts, const Number<float>& dt);
+  void take_kept(const Number<float>& dt);
+  void open_groups(int64_t trees) const;
   void hold_some(const SleepingTrees& sleeping);
   ContactShapes shapes(const ContactArguments& contacts) const;
   ContactGroupArguments groups(const ContactArguments& contacts, const FeatherstoneOptions& options,

@@ -14,6 +14,7 @@
 #include "contact_steps.h"
 #include "mimic_limits.h"
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/for_chunks.h"
 #include "novaphy/core/storage.h"
 #include "novaphy/core/warning.h"
 #include "novaphy/dynamics/semi_implicit/contact_stability.h"
@@ -33,7 +34,11 @@ class EarlierState {
     visit(state, [&](const Array& array) {
       const size_t bytes = array.range()->bytes();
       if (at + bytes > bytes_.size()) bytes_.resize(at + bytes);
-      std::memcpy(bytes_.data() + at, array.range()->data(), bytes);
+      const auto* const from = static_cast<const unsigned char*>(array.range()->data());
+      for_chunks(static_cast<int64_t>(bytes), kCopiedAtOnce,
+                 [to = bytes_.data() + at, from](int64_t begin, int64_t end, int64_t) {
+                   std::memcpy(to + begin, from + begin, static_cast<size_t>(end - begin));
+                 });
       at += bytes;
     });
   }
@@ -47,6 +52,7 @@ class EarlierState {
   }
 
  private:
+  static constexpr int64_t kCopiedAtOnce = 1 << 16;  // bytes
   template <class Function>
   static void visit(const SimState& s, const Function& function) {
     for (const Array* array :

@@ -89,6 +89,7 @@ ContactSteps::ContactSteps(const Model& m, const Articulations& articulations)
   side_of_body_ = DeviceArray<int32_t>::from_host(sides, device, 2);
   moved_by_ = DeviceArray<int32_t>::from_host(moved_by, device);
   group_of_tree_ = DeviceArray<int32_t>::from_host(group_of_tree, device);
+  isolated_.resize(count);
   tree_begin_ = DeviceArray<int32_t>::from_host(lists.begins(), device);
   trees_ = DeviceArray<int32_t>::from_host(lists.all(), device);
   nodes_ = DeviceArray<int32_t>(count, device, kNodeNumbers);
@@ -327,10 +328,12 @@ void ContactSteps::step(const ArticulationStepArguments& of, const ContactArgume
     };
     if (sleeping != nullptr) open_some(*sleeping, contacts);
     if (lanes != nullptr && sleeping == nullptr && trees <= groups_ * kTreeRows) {
-      open_groups(trees);
+      open_groups();
     } else {
       launch(k.contact_open, articulation_contact_open, trees);
       launch(k.contact_islands, articulation_contact_islands, groups_, true);
+      for (int32_t i = 0; lanes != nullptr && i < trees; ++i)
+        find_isolated(i, sleeping != nullptr && sleeping->asleep[static_cast<size_t>(i)] != 0);
     }
     const bool some = lanes == nullptr || take_trees(o, *lanes, record.records, sleeping);
     if (some && lanes != nullptr) launch(k.contact_start, articulation_contact_start, trees);
@@ -344,19 +347,6 @@ void ContactSteps::step(const ArticulationStepArguments& of, const ContactArgume
     take_kept(of.in.dt);
   else
     keep(contacts.most, of.in.dt);
-}
-
-// Finds the links' frames and the islands of small groups. A thread takes groups through both.
-void ContactSteps::open_groups(int64_t trees) const {
-  const auto* const words = reinterpret_cast<const uint64_t*>(&*last_);
-  const int32_t *const begins = last_->of.tree_begin, *const list = last_->of.trees;
-  for_chunks(groups_, kTreeRows, [&](int64_t begin, int64_t end, int64_t) {
-    for (int64_t group = begin; group < end; ++group) {
-      for (int32_t k = begins[group]; k < begins[group + 1]; ++k)
-        articulation_contact_open.rows(words, trees, list[k], list[k] + 1);
-      articulation_contact_islands.rows(words, groups_, group, group + 1);
-    }
-  });
 }
 
 // The same as `keep` on the host, without copies: the lists of both steps change places.

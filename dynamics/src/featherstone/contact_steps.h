@@ -163,7 +163,6 @@ class ContactSteps {
   // Keeps the impulses of a step for the warm start of the next step.
   void keep(int64_t contacts, const Number<float>& dt);
   void take_kept(const Number<float>& dt);
-  void open_groups(int64_t trees) const;
   void hold_some(const SleepingTrees& sleeping);
   ContactShapes shapes(const ContactArguments& contacts) const;
   ContactGroupArguments groups(const ContactArguments& contacts, const FeatherstoneOptions& options,
@@ -175,6 +174,8 @@ class ContactSteps {
                                                   const FeatherstoneOptions& options,
                                                   const ContactRecord& record, bool continues,
                                                   bool lanes) const;
+  void open_groups();
+  void find_isolated(int32_t tree, bool sleeps);
   bool take_trees(const FeatherstoneOptions& options, TreeSteps& lanes, bool keeps_rates,
                   const SleepingTrees* sleeping);
   void open_some(const SleepingTrees& sleeping, const ContactArguments& contacts);
@@ -192,6 +193,8 @@ class ContactSteps {
   bool has_run_ = false;                                  // whether the last step had rows
   std::optional<ArticulationContactStepArguments> last_;  // in host memory, on the CPU
   std::vector<int32_t> taken_;                            // the trees that TreeSteps takes
+  // per tree: the number of its contacts if it touches only the world, else -1
+  std::vector<int32_t> isolated_;
   IslandLanes islands_;
   // the rows with sleeping trees held in place
   std::vector<ArticulationRows> rows_;

@@ -17,9 +17,11 @@ namespace {
 // The contacts of the trees that TreeSteps solves.
 class TakenContacts : public TreeContacts {
  public:
-  explicit TakenContacts(const ArticulationContactStepArguments& a) : s_(a, 0) {}
+  // `counts`: ContactSteps::isolated_
+  TakenContacts(const ArticulationContactStepArguments& a, std::span<const int32_t> counts)
+      : s_(a, 0), counts_(counts) {}
 
-  int32_t count(int64_t tree) const override { return node(tree).rows; }
+  int32_t count(int64_t tree) const override { return counts_[static_cast<size_t>(tree)]; }
   int32_t fill(int64_t tree, int32_t i, float* numbers, int32_t stride) override {
     int32_t link = 0;
     const art::TreeContact<float> contact =
@@ -48,6 +50,7 @@ class TakenContacts : public TreeContacts {
     return s_.all.places[s_.a.contact_begin[group] + node(tree).begin + i];
   }
   const GroupStep s_;  // of any group: the functions used here do not depend on the group
+  const std::span<const int32_t> counts_;
 };
 
 }  // namespace
@@ -55,19 +58,36 @@ class TakenContacts : public TreeContacts {
 // Makes TreeSteps step all trees that touch only the world. Returns whether other trees remain.
 bool ContactSteps::take_trees(const FeatherstoneOptions& options, TreeSteps& lanes,
                               bool keeps_rates, const SleepingTrees* sleeping) {
-  const std::span<IslandNode> nodes = nodes_here();
   taken_.clear();
-  for (size_t i = 0; i < nodes.size(); ++i) {
-    IslandNode& node = nodes[i];
-    const bool sleeps = sleeping != nullptr && sleeping->asleep[i] != 0;
-    const bool isolated = !sleeps && node.coupled == 0 && node.root == static_cast<int32_t>(i) &&
-                       node.met == 0 && last_->step.status[i] == 0;
-    node.taken = isolated ? 1 : 0;
-    if (isolated) taken_.push_back(static_cast<int32_t>(i));
-  }
-  TakenContacts contacts(*last_);
+  for (size_t i = 0; i < isolated_.size(); ++i)
+    if (isolated_[i] >= 0) taken_.push_back(static_cast<int32_t>(i));
+  TakenContacts contacts(*last_, isolated_);
   lanes.step(last_->step, model_, taken_, options, &contacts, keeps_rates);
-  return taken_.size() < (sleeping != nullptr ? sleeping->awake.size() : nodes.size());
+  return taken_.size() < (sleeping != nullptr ? sleeping->awake.size() : isolated_.size());
+}
+
+// Finds the islands of small groups, and their trees that touch only the world. A thread takes some
+// groups through all of this.
+void ContactSteps::open_groups() {
+  const auto* const words = reinterpret_cast<const uint64_t*>(&*last_);
+  const int64_t trees = articulations_.count();
+  const int32_t *const begins = last_->of.tree_begin, *const list = last_->of.trees;
+  for_chunks(groups_, kTreeRows, [&](int64_t begin, int64_t end, int64_t) {
+    for (int64_t group = begin; group < end; ++group) {
+      const std::span<const int32_t> of(list + begins[group], list + begins[group + 1]);
+      for (const int32_t tree : of) articulation_contact_open.rows(words, trees, tree, tree + 1);
+      articulation_contact_islands.rows(words, groups_, group, group + 1);
+      for (const int32_t tree : of) find_isolated(tree, false);
+    }
+  });
+}
+
+void ContactSteps::find_isolated(int32_t tree, bool sleeps) {
+  IslandNode& node = last_->of.nodes[tree];
+  const bool isolated = !sleeps && node.coupled == 0 && node.root == tree && node.met == 0 &&
+                        last_->step.status[tree] == 0;
+  node.taken = isolated ? 1 : 0;
+  isolated_[static_cast<size_t>(tree)] = isolated ? node.rows : -1;
 }
 
 // Marks the rows of sleeping trees as rows that do not move.

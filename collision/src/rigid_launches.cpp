@@ -13,17 +13,23 @@
 namespace novaphy::detail {
 namespace {
 
+// The number of rows that a thread of the CPU takes at a time: a few microseconds.
+constexpr uint32_t kShapeRows = 96, kPairRows = 48;
+
 // Never destroyed, because recordings refer to the kernels.
 struct Kernels {
-  Kernel<RigidContactShapeArguments> shape{rigid_contact_shape, rigid_contact_kernels_source};
-  Kernel<RigidContactFindArguments> find{rigid_contact_find, rigid_contact_kernels_source};
+  Kernel<RigidContactShapeArguments> shape{kInChunks<rigid_contact_shape, kShapeRows>,
+                                           rigid_contact_kernels_source};
+  Kernel<RigidContactFindArguments> find{kInChunks<rigid_contact_find, kPairRows>,
+                                         rigid_contact_kernels_source};
   Kernel<RigidContactChunkArguments> chunk{rigid_contact_chunk, rigid_contact_kernels_source};
   Kernel<RigidContactLimitSumArguments> limit_sum{rigid_contact_limit_sum,
                                                   rigid_contact_kernels_source};
   Kernel<RigidContactLimitArguments> limit{rigid_contact_limit, rigid_contact_kernels_source};
   Kernel<RigidContactFartherArguments> farther{rigid_contact_farther, rigid_contact_kernels_source};
   Kernel<RigidContactTrimArguments> trim{rigid_contact_trim, rigid_contact_kernels_source};
-  Kernel<RigidContactWriteArguments> write{rigid_contact_write, rigid_contact_kernels_source};
+  Kernel<RigidContactWriteArguments> write{kInChunks<rigid_contact_write, kPairRows>,
+                                           rigid_contact_kernels_source};
   Kernel<RigidContactClearArguments> clear{rigid_contact_clear, rigid_contact_kernels_source};
   Kernel<RigidMeshFindArguments> find_mesh{rigid_mesh_find, rigid_mesh_kernels_source};
   Kernel<RigidMeshLimitSumArguments> limit_sum_mesh{rigid_mesh_limit_sum,

@@ -20,7 +20,7 @@ const char* articulation_kernels_source();
 namespace art = articulation;
 
 namespace {
-constexpr int64_t kRowsOfChunk = 512;
+constexpr int64_t kRowsOfChunk = 256;
 }
 
 StepDrives drives_of(const Model& m, const Control* control) {

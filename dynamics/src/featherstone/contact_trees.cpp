@@ -72,14 +72,17 @@ void ContactSteps::open_groups() {
   const auto* const words = reinterpret_cast<const uint64_t*>(&*last_);
   const int64_t trees = articulations_.count();
   const int32_t *const begins = last_->of.tree_begin, *const list = last_->of.trees;
-  for_chunks(groups_, kTreeRows, [&](int64_t begin, int64_t end, int64_t) {
-    for (int64_t group = begin; group < end; ++group) {
-      const std::span<const int32_t> of(list + begins[group], list + begins[group + 1]);
-      for (const int32_t tree : of) articulation_contact_open.rows(words, trees, tree, tree + 1);
-      articulation_contact_islands.rows(words, groups_, group, group + 1);
-      for (const int32_t tree : of) find_isolated(tree, false);
-    }
-  });
+  constexpr int64_t kFewGroups = 64;  // a task of fewer groups than these has one
+  for_chunks(groups_, groups_ < kFewGroups ? 1 : kTreeRows,
+             [&](int64_t begin, int64_t end, int64_t) {
+               for (int64_t group = begin; group < end; ++group) {
+                 const std::span<const int32_t> of(list + begins[group], list + begins[group + 1]);
+                 for (const int32_t tree : of)
+                   articulation_contact_open.rows(words, trees, tree, tree + 1);
+                 articulation_contact_islands.rows(words, groups_, group, group + 1);
+                 for (const int32_t tree : of) find_isolated(tree, false);
+               }
+             });
 }
 
 void ContactSteps::find_isolated(int32_t tree, bool sleeps) {

@@ -24,6 +24,23 @@ def turned(*axis_and_angle: float) -> tuple[float, ...]:
     return (*axis, np.cos(axis_and_angle[3] / 2))
 
 
+CORNERS = np.float32([(x, y, z) for x in (-0.1, 0.1) for y in (-0.12, 0.12) for z in (-0.08, 0.08)])
+TRIANGLES = np.int32(
+    [
+        [0, 1, 3],
+        [0, 3, 2],
+        [4, 6, 7],
+        [4, 7, 5],
+        [0, 4, 5],
+        [0, 5, 1],
+        [2, 3, 7],
+        [2, 7, 6],
+        [0, 2, 6],
+        [0, 6, 4],
+        [1, 5, 7],
+        [1, 7, 3],
+    ]
+)
 SHAPES = {
     "sphere": {"radius": 0.1},
     "capsule": {"radius": 0.06, "half_height": 0.15},
@@ -32,7 +49,10 @@ SHAPES = {
     "cone": {"radius": 0.1, "half_height": 0.12},
     "ellipsoid": {"rx": 0.15, "ry": 0.1, "rz": 0.07},
     "convex_hull": {"vertices": np.float32(np.concatenate([np.eye(3), -np.eye(3)]) * 0.1)},
+    "hull of a box": {"vertices": CORNERS},  # the box above
+    "mesh of a box": {"vertices": CORNERS, "indices": TRIANGLES},
 }
+METHODS = {"hull of a box": "convex_hull", "mesh of a box": "mesh"}
 # Pairs whose search is exact to rounding, because a step is compared with differences.
 # tests/dynamics/test_witness_points.cpp has all pairs of features.
 # The shapes of two free bodies with their poses, of which the second is above the first; "ground":
@@ -137,6 +157,34 @@ PAIRS = {
     ),
     "rolling ellipsoid": ("ground", (), "ellipsoid", (0, 0, 0.077, *turned(0.3, -0.2, 1, 0.5))),
 }
+# The same on a hull and on a mesh with the corners of the box. A mesh that meets edges and corners
+# also has contacts at its diagonals, whose points are frozen.
+OF_HULLS = {
+    "sphere on a face": ("sphere",),
+    "sphere on an edge": ("sphere",),
+    "corner on a face": ("box", "hull of a box"),
+    "crossing edges": ("box", "hull of a box"),
+    "capsule on an edge": ("capsule",),
+    "apex on a face": ("cone",),
+    "hull on a face": ("convex_hull",),
+}
+OF_MESHES = ("sphere on a face", "sphere on an edge", "capsule on an edge", "apex on a face")
+for of_box, shapes in OF_HULLS.items():
+    for above in shapes:
+        PAIRS[f"{of_box} of a hull: {above}"] = (
+            "hull of a box",
+            PAIRS[of_box][1],
+            above,
+            PAIRS[of_box][3],
+        )
+for of_box in OF_MESHES:
+    PAIRS[f"{of_box} of a mesh"] = ("mesh of a box", *PAIRS[of_box][1:])
+PAIRS["ball on a hull's corner"] = (
+    "hull of a box",
+    (0, 0, 0, *turned(1, 1, 0, 0.9)),
+    "sphere",
+    (0.0, 0.0, 0.26, *UPRIGHT),
+)
 MOTIONS = {
     "sticking": (0.5, (0.02, 0.01, -0.6, 0.1, 0.2, 0.1), 0.0),
     "sliding": (0.3, (1.1, 0.4, -0.5, 0.3, -0.2, 0.6), 0.0),
@@ -159,7 +207,8 @@ def two_bodies(name: str, motion: str) -> novaphy.Model:
             xform=(pose[:3], pose[3:]), mass=1.0, inertia=np.diag([0.01, 0.012, 0.008])
         )
         builder.body_qd[body] = speed
-        getattr(builder, f"add_shape_{shape}")(body, cfg=of, **SHAPES[shape])
+        add = getattr(builder, f"add_shape_{METHODS.get(shape, shape)}")
+        add(body, cfg=of, **SHAPES[shape])
     return builder.finalize(requires_grad=True)
 
 

@@ -47,6 +47,7 @@ int32_t find_groups(const Model& m, std::vector<int32_t>& groups) {
 ContactSteps::ContactSteps(const Model& m, const Articulations& articulations)
     : model_(m),
       articulations_(articulations),
+      polytopes_(m),
       tree_stride_(numbers(island_tree_bytes(articulations.max_links(), articulations.max_dofs()))),
       adjoint_tree_stride_(
           numbers(island_adjoint_bytes(articulations.max_links(), articulations.max_dofs()))),
@@ -184,6 +185,11 @@ bool ContactSteps::has_rows(const Contacts* contacts) {
   return has_run_ = false;
 }
 
+void ContactSteps::read_polytopes() {
+  const UntrackedScope untracked;
+  polytopes_.update();
+}
+
 void ContactSteps::forget_impulses() {
   kept_begin_.zero();
   kept_friction_.zero();
@@ -240,6 +246,8 @@ ContactGroupArguments ContactSteps::groups(const ContactArguments& contacts,
           .shape_type = model_.shape_type,
           .shape_transform = model_.shape_transform,
           .shape_scale = model_.shape_scale,
+          .views = record.found ? Untyped(polytopes_.views()) : Untyped(nullptr),
+          .view_of_shape = record.found ? Untyped(polytopes_.of_shape()) : Untyped(nullptr),
           .erp = o.pgs_erp,
           .slop = o.pgs_slop,
           .cfm = o.pgs_cfm,
@@ -297,6 +305,7 @@ void ContactSteps::step(const ArticulationStepArguments& of, const ContactArgume
       art::kMatrixJoints, " joints in a row: expected the model on the cpu, got it on ",
       model_.device().str());
   has_run_ = true;
+  if (record.found) read_polytopes();
   reserve(contacts.most);
   const bool forgets = record.notes && reserve_notes();
   const ContactKernels& k = contact_kernels();

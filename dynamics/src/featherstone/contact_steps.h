@@ -12,6 +12,7 @@
 #include "articulation_contact_kernels.h"
 #include "contact_events.h"
 #include "island_lanes.h"
+#include "novaphy/collision/polytopes.h"
 #include "novaphy/core/array_stamp.h"
 #include "novaphy/core/sim/contacts.h"
 #include "novaphy/dynamics/articulation/contact_note.h"
@@ -97,6 +98,8 @@ class ContactSteps {
   // Returns whether the step needs the contact solver: it has contacts or dry friction, or an
   // earlier step left impulses. Otherwise discards the impulses of earlier steps.
   bool has_rows(const Contacts* contacts);
+  // Builds the tables of hulls and meshes that gradients read, if they are outdated.
+  void read_polytopes();
   // Returns whether joints have dry friction. Checks again if the array was written.
   bool has_friction();
   // Runs a step. If the memory is too small for the contacts, allocates more and discards the
@@ -186,6 +189,7 @@ class ContactSteps {
 
   const Model& model_;
   const Articulations& articulations_;
+  Polytopes polytopes_;
   int64_t groups_ = 0, tree_stride_, adjoint_tree_stride_, contact_stride_;
   DeviceArray<int32_t> side_of_body_, moved_by_, group_of_tree_, tree_begin_, trees_;
   ArrayStamp friction_stamp_;

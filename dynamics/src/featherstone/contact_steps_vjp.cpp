@@ -140,6 +140,7 @@ void ContactSteps::vjp(const ArticulationStepVjpArguments& step, const ContactAr
                        const FeatherstoneOptions& o, const ContactRecord& record,
                        const ContactGradientArguments& to) {
   const bool materials = to.of_materials() && contacts.most > 0;
+  if (record.found) read_polytopes();
   reserve(contacts.most);
   reserve_adjoint(record.dry, materials);
   const ContactKernels& k = contact_kernels();
@@ -178,6 +179,7 @@ void ContactSteps::vjp(const ArticulationStepVjpArguments& step, const ContactAr
 void ContactSteps::jvp(const ArticulationJvpArguments& step, const ContactArguments& contacts,
                        const FeatherstoneOptions& o, const ContactRecord& record,
                        const ContactDualArguments& duals) {
+  if (record.found) read_polytopes();
   reserve(contacts.most);
   reserve_adjoint(record.dry, false);
   const int64_t stride = dual_contact_bytes(articulations_.max_dofs()) / 4;

@@ -133,7 +133,10 @@ struct ArticulationStep::Shared {
     actuators = std::make_shared<Actuators>(m);
     const auto count = static_cast<size_t>(articulations.count());
     for (size_t i = 0; i < count; ++i) all.push_back(static_cast<int32_t>(i));
-    if (device.is_cpu()) trees.emplace(m, articulations);
+    if (device.is_cpu())
+      trees.emplace(m, articulations);
+    else
+      contacts.read_polytopes();  // a capture cannot
     own_stride = step_workspace(articulations);
     status = DeviceArray<int32_t>(count, device);
   }

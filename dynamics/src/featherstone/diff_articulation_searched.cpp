@@ -50,6 +50,8 @@ bool is_searched(const Step& s, const ArticulationArguments& in, const KeptConta
       contact_feature_of(a, of_a, at_a, math::transform_point(of_b, at_b), n, true);
   const Feature second =
       contact_feature_of(b, of_b, at_b, math::transform_point(of_a, at_a), n, false);
+  if ((a.is_polytope && second.witness.is_curved) || (b.is_polytope && first.witness.is_curved))
+    return true;
   return first.witness.is_known && second.witness.is_known &&
          (first.witness.is_curved || second.witness.is_curved) && !first.is_along &&
          !second.is_along;

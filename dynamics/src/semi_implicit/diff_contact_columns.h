@@ -55,9 +55,13 @@ inline ContactShape<Bool, Real> load_shape(TraceContext& c, const Int& shape) {
   const Int type = c.i32(c.source("shape_type"), shape, 0);
   const auto is = [&](GeoType wanted) { return type == Int(static_cast<int32_t>(wanted)); };
   const Transform<Real> x = Columns(c, "shape_transform", &shape).transform();
-  return contact_shape<GeoType, Bool, Real>(
+  ContactShape<Bool, Real> to = contact_shape<GeoType, Bool, Real>(
       is, {constant(x.p), {detach(x.q.x), detach(x.q.y), detach(x.q.z), detach(x.q.w)}},
       constant(Columns(c, "shape_scale", &shape).vec3()));
+  const Bool no(false);
+  const Real zero(0.0f);
+  to.polytope = {no, no, no, no, {zero, zero, zero}};
+  return to;
 }
 
 }  // namespace novaphy::diff::detail

@@ -66,6 +66,8 @@ struct ContactGroupArguments {
                     Given<float> joint_friction; Given<int32_t> tree_begin, trees;
                     Given<int32_t> contact_begin, contacts; Given<int32_t> shape_type;
                     Given<Transformf> shape_transform; Given<Vec3f> shape_scale;
+                    Optional<Reads<geometry::GeometryView>> views;
+                    Optional<Given<int32_t>> view_of_shape;
                     Number<float> erp, slop, cfm, max_depenetration, restitution_threshold;
                     Number<int64_t> compliant, cone, found; Writes<ContactLink> chain;
                     Writes<IslandNode> nodes; Writes<float> memory; Number<int64_t> contact_stride;)
@@ -146,15 +148,17 @@ struct GroupLists {
     return articulation::follows_plane(contacts, a.shape_type, contact, sides);
   }
   articulation::TurningShapes turning_shapes() const {
-    return {a.shape_type, a.shape_transform, a.shape_scale};
+    return {a.shape_type, a.shape_transform, a.shape_scale, a.views, a.view_of_shape};
   }
   // Returns the data for the contact's moving contact point. pose_of(side): pose of a side's body.
   template <class PoseOf>
   articulation::TurningInput<float> turning_input(int32_t contact, const PoseOf& pose_of) const {
-    return {{contacts.shape0[contact], contacts.shape1[contact]},
-            {contacts.point0[contact], contacts.point1[contact]},
-            contacts.normal[contact],
-            {pose_of(0), pose_of(1)}};
+    articulation::TurningInput<float> of = {{contacts.shape0[contact], contacts.shape1[contact]},
+                                            {contacts.point0[contact], contacts.point1[contact]},
+                                            contacts.normal[contact],
+                                            {pose_of(0), pose_of(1)}};
+    articulation::find_polytopes(turning_shapes(), of);
+    return of;
   }
 };
 

@@ -8,6 +8,7 @@
 // = n . (db - da). Freestanding: shared by host and device kernels.
 #pragma once
 
+#include "novaphy/collision/geometry/polytope_feature.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/dynamics/articulation/contact_rows.h"
 #include "novaphy/dynamics/semi_implicit/moving_contact_trace.h"
@@ -74,6 +75,9 @@ struct TurningShapes {
   const int32_t* type;
   const Transformf* pose;  // in the frame of the body
   const Vec3f* scale;
+  // The tables of hulls and meshes, and the row of each shape in them. Null: unknown.
+  const geometry::GeometryView* views = nullptr;
+  const int32_t* view_of = nullptr;
 };
 // A contact as the search found it, and the poses of its bodies relative to a common origin.
 template <class T>
@@ -81,7 +85,21 @@ struct TurningInput {
   int32_t shape[2];
   Vec3f point[2], normal;  // points in body frames; normal in the world
   Transform<T> pose[2];
+  geometry::PolytopeFeature feature[2] = {};  // of hulls and meshes
 };
+
+// Finds the features of hulls and meshes at the points of a contact.
+inline void find_polytopes(const TurningShapes& shapes, TurningInput<float>& of) {
+  for (int side = 0; side < 2 && shapes.views != nullptr; ++side) {
+    const int32_t view = shapes.view_of[of.shape[side]];
+    if (view < 0) continue;
+    const Transformf& own = shapes.pose[of.shape[side]];
+    const Quatf turn = math::multiply(of.pose[side].q, own.q);
+    of.feature[side] = geometry::polytope_feature(
+        shapes.views[view], math::transform_point(math::inverse(own), of.point[side]),
+        math::rotate_inverse(turn, of.normal));
+  }
+}
 
 template <class T>
 NOVAPHY_SELDOM MovingContact<bool, T> turn_contact(const TurningShapes& shapes,
@@ -98,7 +116,9 @@ NOVAPHY_SELDOM MovingContact<bool, T> turn_contact(const TurningShapes& shapes,
     };
     const Transformf& at = shapes.pose[shape];
     const Transform<T> pose = {lift(at.p), {T(at.q.x), T(at.q.y), T(at.q.z), T(at.q.w)}};
-    const auto own = contact_shape<GeoType, bool, T>(is, pose, lift(shapes.scale[shape]));
+    auto own = contact_shape<GeoType, bool, T>(is, pose, lift(shapes.scale[shape]));
+    const geometry::PolytopeFeature& f = of.feature[side];
+    own.polytope = {f.is_face, f.is_edge, f.is_corner, f.leads, lift(f.line)};
     return contact_feature_of(own, of.pose[side], lift(of.point[side]), world[1 - side], normal,
                               side == 0);
   };
@@ -149,7 +169,8 @@ NOVAPHY_SELDOM Turning<n> turning_along(const TurningShapes& shapes, const Turni
       {of.shape[0], of.shape[1]},
       {of.point[0], of.point[1]},
       of.normal,
-      {resting_pose<ByTwist<n>>(of.pose[0]), moving_pose(of.pose[1], at, twists)}};
+      {resting_pose<ByTwist<n>>(of.pose[0]), moving_pose(of.pose[1], at, twists)},
+      {of.feature[0], of.feature[1]}};
   const MovingContact<bool, ByTwist<n>> c = turn_contact(shapes, moving);
   Turning<n> to;
   to.is_exact = c.is_exact;

@@ -10,7 +10,9 @@
 //   cylinder, cone   on the rim: the deepest point, which moves along the rim, or one of three
 //                    fixed points; the apex: a point
 //   ellipsoid        the deepest point, which moves over the surface
-//   hull, mesh       a vertex: a point, for contacts with planes, and of a hull with faces of boxes
+//   hull, mesh       a vertex: a point, for contacts with planes, and of a hull with faces of
+//   boxes;
+//                    the caller gives the feature for contacts with other shapes
 //
 // Freestanding: T = float tests which contacts are exact, T = nova::Real is traced.
 #pragma once
@@ -20,6 +22,14 @@
 
 namespace novaphy {
 
+// The feature of a hull or a mesh at a point (collision/geometry/polytope_feature.h). Frame of the
+// shape. No flag set: unknown, or another shape.
+template <class B, class T>
+struct PolytopeSide {
+  B is_face{}, is_edge{}, is_corner{}, leads{};
+  Vec3<T> line{};
+};
+
 // The type, pose and scale of a shape. B is bool or nova::Bool. No flag set: another type.
 template <class B, class T>
 struct ContactShape {
@@ -27,6 +37,7 @@ struct ContactShape {
       is_hull{}, is_polytope{};
   Transform<T> pose{};  // in the body's frame
   Vec3<T> scale{};      // see GeoType
+  PolytopeSide<B, T> polytope{};
 };
 // Makes a shape. is(type): whether the shape has this type. Type is GeoType as a template argument,
 // because files of formulas do not include its header.
@@ -43,7 +54,8 @@ ContactShape<B, T> contact_shape(const Is& is, const Transform<T>& pose, const V
           is(Type::CONVEX_MESH),
           either(is(Type::CONVEX_MESH), is(Type::MESH)),
           pose,
-          scale};
+          scale,
+          {}};
 }
 
 // The feature of a shape at a contact point. Directions are unit vectors in the world.

@@ -1,6 +1,6 @@
 // Moving contact points: the derivative of the points and the normal of a rigid contact by the
 // poses of its two bodies. A closed form exists for planes with all shapes, for spheres, capsules
-// and boxes, and for cylinders, cones and ellipsoids (witness_points_trace.h).
+// and boxes, and for cylinders, cones, ellipsoids, hulls and meshes (witness_points_trace.h).
 //
 // The position of a point identifies the feature of its shape (contact_feature_trace.h).
 //
@@ -26,7 +26,8 @@
 //   perpendicular to an edge or axis of each, and parallel faces of two boxes.
 // - A rim lies flat on a plane (within 1e-4) or on a face of a box (a cylinder within 0.9 degrees),
 //   so its deepest point is not unique.
-// - A mesh touches anything but a plane; a hull anything but a plane or the inside of a box's face.
+// - The feature of a hull or a mesh is not known, or the inside of a face meets a side of another
+//   face: an edge that crosses the outline of a face, or a corner of that outline.
 // - An ellipsoid, a cylinder or a cone touches a shape without faces in an area, at points that are
 //   not the nearest ones.
 //
@@ -127,7 +128,8 @@ B stands_on(const ContactFeature<B, T>& face, const ContactFeature<B, T>& other)
   return either(both(face.is_plane, other.meets_planes), both(inside, other.meets_faces));
 }
 
-// Returns the nearest points of curved shapes if exact, else points and normal as constants.
+// Returns the nearest points of curved shapes, hulls and meshes if exact, else points and normal as
+// constants.
 template <class B, class T>
 MovingContact<B, T> nearest_or_held(const ContactFeature<B, T>& a, const ContactFeature<B, T>& b,
                                     const Vec3<T>& normal, const B& other_law) {

@@ -1,5 +1,5 @@
 // Nearest points of curved shapes: the derivative of the points and the normal of a contact by the
-// poses of its bodies. At least one shape is a cylinder, a cone or an ellipsoid.
+// poses of its bodies. At least one shape is a cylinder, a cone, an ellipsoid, a hull or a mesh.
 //
 // Law. The nearest points of the cores of A and B are a and b. The normal n points from A to B, and
 // d is the gap between the cores. The symbols p and m stand for a and n fixed in A, and q and k for
@@ -9,15 +9,19 @@
 //     da = dp + C_A (dn - dm),   db = dq - C_B (dn - dk),   db - da = d dn + n dd
 // C is 0 at a vertex. C is infinite along a straight line of a side and in a face. The normal turns
 // with the body there, and the third equation moves the point. The features have this C:
-//     sphere, end of a capsule, corner of a box, apex of a cone     C = 0
-//     capsule, edge of a box             infinite along the line, 0 across
-//     face of a box, base                infinite
+//     sphere, end of a capsule, corner, apex of a cone     C = 0
+//     capsule, edge                      infinite along the line, 0 across
+//     face, base                         infinite
 //     side of a cylinder or a cone       infinite along its line, rho / (n . e) around the axis
 //     rim                                rho / (n . e) along the rim, 0 across
 //     ellipsoid, half axes D             (D^2 - a a^T) / |D n|, a from the center
 //
 // rho is the distance of the point from the axis, and e the direction from the axis to the point.
 // In the code "infinite" is a large number, in a basis of the tangent plane along the line.
+//
+// A normal along a face at one of its edges or corners comes from that face, which "leads". The
+// inside of a face on the other side leads in its place. Only hulls and meshes, and what touches
+// them, have such normals.
 //
 // The points and the normal are those of the search. Their relative error is that of the derivative
 // too. Points that are not the nearest ones are not exact.
@@ -35,7 +39,8 @@ inline constexpr float kWitnessNoise = 4e-3f;
 // One side of a contact. Only `point` and `normal` have derivatives.
 template <class B, class T>
 struct WitnessSide {
-  B is_known{}, is_curved{};
+  B is_known{}, is_curved{}, is_polytope{};
+  B leads{};                  // an edge or a corner with the normal of one of its faces
   Vec3<T> point{}, normal{};  // fixed in the body
   B is_line{}, is_face{};     // C is infinite along `line`, or everywhere
   Vec3<T> line{};
@@ -134,6 +139,41 @@ void set_revolution(WitnessSide<B, T>& s, const B& is_cone, const Vec3<T>& x, co
   s.is_known = either(either(apex, base), is_curve);
 }
 
+// Sets a side that is an edge or a corner whose face leads, or a feature of a hull or a mesh.
+template <template <class, class> class Shape, template <class, class> class Feature, class B,
+          class T>
+void set_polytope(WitnessSide<B, T>& s, const Shape<B, T>& shape, const Vec3<T>& normal,
+                  const Feature<B, T>& feature) {
+  using namespace math;
+  const auto& of = shape.polytope;
+  const Vec3<T> line = witness_detail::still(rotate(s.turn, of.line));
+  const auto across = [&](const Vec3<T>& v) { return abs(dot(v, normal)) < T(kWitnessNoise); };
+  const auto edge = both(of.is_edge, across(line));
+  const auto box_leads =
+      both(both(shape.is_box, feature.is_along),
+           either(feature.is_point, both(feature.is_line, across(feature.line))));
+  s.is_polytope = shape.is_polytope;
+  s.leads = either(of.leads, box_leads);
+  s.is_known = either(s.is_known, either(of.is_face, either(of.is_corner, edge)));
+  s.is_face = either(s.is_face, of.is_face);
+  s.is_line = either(s.is_line, either(edge, both(box_leads, feature.is_line)));
+  s.line = select(edge, line, s.line);
+}
+
+// Returns a side of a contact with a hull or a mesh. The side is its leading face unless the other
+// side is the inside of a face.
+template <class B, class T>
+WitnessSide<B, T> leading_side(const WitnessSide<B, T>& side, const WitnessSide<B, T>& other) {
+  using namespace math;
+  const auto beside = both(side.leads, either(side.is_polytope, other.is_polytope));
+  const auto face = both(beside, negate(other.is_face));
+  WitnessSide<B, T> s = side;
+  s.is_known = either(side.is_known, beside);
+  s.is_face = either(side.is_face, face);
+  s.is_line = both(side.is_line, negate(face));
+  return s;
+}
+
 // Returns the side of a shape at a contact point. `shape`: as for contact_feature_of. `feature`:
 // the shape's feature there, used for the side of the normal and for shapes that are not curved.
 template <template <class, class> class Shape, template <class, class> class Feature, class B,
@@ -178,6 +218,7 @@ WitnessSide<B, T> witness_side(const Shape<B, T>& shape, const Transform<T>& bod
   const auto nearest =
       both(shape.is_ellipsoid, dot(off, off) < s.size * s.size * T(kWitnessNoise * kWitnessNoise));
   s.is_known = select(revolves, s.is_known, select(shape.is_ellipsoid, nearest, plain));
+  set_polytope(s, shape, normal, feature);
   return s;
 }
 
@@ -188,10 +229,11 @@ struct WitnessPoints {
 };
 
 template <class B, class T>
-WitnessPoints<B, T> witness_points(const WitnessSide<B, T>& a, const WitnessSide<B, T>& b,
+WitnessPoints<B, T> witness_points(const WitnessSide<B, T>& side_a, const WitnessSide<B, T>& side_b,
                                    const Vec3<T>& contact_normal) {
   using namespace math;
   using namespace witness_detail;
+  const WitnessSide<B, T> a = leading_side(side_a, side_b), b = leading_side(side_b, side_a);
   const T zero = T(0.0f), one = T(1.0f);
   const Vec3<T> n = still(contact_normal), apart = b.point - a.point;
   const T d = detach(dot(n, apart));
@@ -238,7 +280,8 @@ WitnessPoints<B, T> witness_points(const WitnessSide<B, T>& a, const WitnessSide
   const auto flat = either(both(a.is_face, free_b), both(b.is_face, free_a));
   const T aside = detach(p.x * p.x + p.y * p.y);
   w.is_exact =
-      both(both(both(a.is_known, b.is_known), either(a.is_curved, b.is_curved)),
+      both(both(both(a.is_known, b.is_known),
+                either(either(a.is_curved, b.is_curved), either(a.is_polytope, b.is_polytope))),
            both(both(regular, negate(either(parallel, flat))), aside < size * size * T(1e-6f)));
   return w;
 }

@@ -1,0 +1,102 @@
+// The face, edge or corner of a convex hull or a triangle mesh at a point of its surface, for the
+// gradients of contacts. Frame of the shape, m.
+#pragma once
+
+#include "novaphy/collision/geometry/geometry_view.h"
+
+namespace novaphy::geometry {
+
+// All flags are false: no feature is at the point, or the shape is neither a hull nor a mesh.
+struct PolytopeFeature {
+  bool is_face = false, is_edge = false, is_corner = false;
+  bool leads = false;  // an edge or a corner whose contact normal is that of one of its faces
+  Vec3f line{};        // unit vector along an edge
+};
+
+namespace polytope_detail {
+
+inline constexpr float kOn = 1e-4f;      // of the shape's size: the distance of a point from a face
+inline constexpr float kSame = 1.4e-3f;  // rad: normals of one face
+inline constexpr float kAlong = 3e-4f;   // rad: a contact normal along the normal of a face
+inline constexpr float kWithin = 4e-3f;  // rad: the same inside of a face, from any search
+
+inline bool is_parallel(const Vec3f& a, const Vec3f& b, float angle) {
+  const Vec3f c = math::cross(a, b);
+  return math::dot(c, c) < angle * angle;
+}
+
+// The faces at a point, of which faces with the same normal count once.
+struct FacesAt {
+  Vec3f first{}, line{};
+  int32_t count = 0;  // 3: three or more without a common edge
+  bool is_along = false, is_within = false;
+
+  void add(const Vec3f& face, const Vec3f& normal) {
+    is_along = is_along || is_parallel(face, normal, kAlong);
+    is_within = is_within || is_parallel(face, normal, kWithin);
+    if (count == 0) {
+      first = face;
+      count = 1;
+    } else if (count == 1 && !is_parallel(face, first, kSame)) {
+      line = math::normalize(math::cross(first, face));
+      count = 2;
+    } else if (count == 2 && math::abs(math::dot(face, line)) > kSame) {
+      count = 3;
+    }
+  }
+  PolytopeFeature feature() const {
+    PolytopeFeature f;
+    f.is_face = count == 1 && is_within;
+    f.is_edge = count == 2;
+    f.is_corner = count == 3;
+    f.leads = count > 1 && is_along;
+    f.line = line;
+    return f;
+  }
+};
+
+inline FacesAt hull_faces_at(const HullView& hull, const Vec3f& x, const Vec3f& normal, float on) {
+  FacesAt faces;
+  for (int32_t i = 0; i < hull.face_count; ++i) {
+    const Vec3f corner = hull.vertices[hull.face_vertices[hull.face_starts[i]]];
+    if (math::abs(math::dot(hull.face_normals[i], x - corner)) <= on)
+      faces.add(hull.face_normals[i], normal);
+  }
+  return faces;
+}
+
+inline bool is_on_triangle(const MeshView& mesh, int32_t triangle, const Vec3f& x, float on) {
+  const Vec3i& t = mesh.triangles[triangle];
+  const Vec3f corner[3] = {mesh.vertices[t.x], mesh.vertices[t.y], mesh.vertices[t.z]};
+  const Vec3f n = mesh.normals[triangle];
+  if (math::dot(n, n) < 0.5f || math::abs(math::dot(n, x - corner[0])) > on) return false;
+  for (int32_t k = 0; k < 3; ++k) {
+    const Vec3f edge = corner[(k + 1) % 3] - corner[k];
+    const float inside = math::dot(math::cross(n, edge), x - corner[k]);
+    if (inside < -on * math::sqrt(math::dot(edge, edge))) return false;
+  }
+  return true;
+}
+inline FacesAt mesh_faces_at(const MeshView& mesh, const Vec3f& x, const Vec3f& normal, float on) {
+  FacesAt faces;
+  const Vec3f reach = {on, on, on};
+  for_triangles_in(mesh, {x - reach, x + reach}, [&](int32_t triangle) {
+    if (is_on_triangle(mesh, triangle, x, on)) faces.add(mesh.normals[triangle], normal);
+  });
+  return faces;
+}
+
+}  // namespace polytope_detail
+
+// Returns the feature of a hull or a mesh at the point x. `normal`: the contact normal (unit).
+inline PolytopeFeature polytope_feature(const GeometryView& shape, const Vec3f& x,
+                                        const Vec3f& normal) {
+  const Vec3f size = shape.box.hi - shape.box.lo;
+  const float on = math::max(size.x, math::max(size.y, size.z)) * polytope_detail::kOn;
+  const bool is_hull = shape.hull.face_count > 0;
+  return (is_hull ? polytope_detail::hull_faces_at(shape.hull, x, normal, on)
+                  : polytope_detail::mesh_faces_at(shape.mesh, x, normal, on))
+      .feature();
+}
+
+}  // namespace novaphy::geometry

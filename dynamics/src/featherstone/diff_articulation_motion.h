@@ -106,6 +106,10 @@ size_t limit_input(float side);
 // Returns whether any of the requested gradients is changed by moved event times.
 bool moves_by(std::span<const nova::InputGradient> gradients);
 
+// Removes and returns the step that ended where `step` starts, and remembers `step`. Null: none.
+std::shared_ptr<const ArticulationStep::Step> take_before(
+    ArticulationStep::Shared& shared, const std::shared_ptr<const ArticulationStep::Step>& step);
+
 // Returns the first coordinate of a tree and the number of its coordinates.
 std::pair<int32_t, int32_t> coordinates_of(const ArticulationStep::Step& step, int32_t tree);
 // Calls visit(number, row) for the dofs of an event: the number within the event, and the model's

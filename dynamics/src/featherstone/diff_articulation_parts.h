@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <array>
+#include <map>
 #include <memory>
 #include <optional>
 #include <span>
@@ -185,8 +186,11 @@ struct ArticulationStep::Shared {
   struct Witness;
   std::weak_ptr<Witness> witness;
   std::weak_ptr<const Step> last;           // only with MotionNotes
+  // The last step of each chain, by the memory of joint_q at its end. Loops that alternate have a
+  // chain each.
+  std::map<const void*, std::weak_ptr<const Step>> ends;
   int64_t moving_steps = 0;                 // recorded steps with MotionNotes
-  int64_t chain = 0;                        // the chain of `last`
+  int64_t chain = 0;                        // the newest chain
   const MotionEvents* last_told = nullptr;  // events of the step under recording
   int64_t next_step = 0;                    // the number of the next recorded step
   // On devices: whether a step since the last check did not converge, and the number of such steps.

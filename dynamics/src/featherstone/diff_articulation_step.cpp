@@ -184,14 +184,14 @@ class CountsOfStep {
 };
 
 // Stores the events of a step that has run, and remembers the step as the one before the next.
-void note(ArticulationStep::Shared& shared, const std::shared_ptr<const Step>& step) {
-  std::shared_ptr<const Step> before = shared.last.lock();
-  if (before && before->outputs[0].tensor.range()->data() != step->in(kAt.q).range()->data())
-    before = nullptr;
-  if (before == nullptr) {  // a new chain: the event list covers consecutive steps only
-    ++shared.chain;
-    shared.motion.events.clear();
-  }
+// Returns whether it forgets an earlier step: the contacts of other steps have come between.
+bool note(ArticulationStep::Shared& shared, const std::shared_ptr<const Step>& step) {
+  std::shared_ptr<const Step> before = take_before(shared, step);
+  const bool forgets = before != nullptr && step->contacts.defined() && !step->continues;
+  if (forgets) before = nullptr;
+  if (before == nullptr) ++shared.chain;
+  // The event list covers consecutive steps only.
+  if (before == nullptr || before != shared.last.lock()) shared.motion.events.clear();
   note_motion(step, before);
   note_drift(*step, before.get());
   step->motion->order = shared.moving_steps++;
@@ -207,6 +207,7 @@ void note(ArticulationStep::Shared& shared, const std::shared_ptr<const Step>& s
   for (const auto& event : step->motion->told) shared.motion.add(event);
   shared.last_told = &step->motion->told;
   shared.last = step;
+  return forgets;
 }
 
 }  // namespace
@@ -331,7 +332,7 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   if (moves) step->motion = std::make_shared<MotionNotes>();
   submit_forward(step, true);
   if (nova::Tape::active() == nullptr) return;
-  if (moves) note(*shared_, step);
+  if (moves && note(*shared_, step)) counts.hold("in loops of one solver that alternate");
   pending_ = std::move(step);
   if (!join || solves || !shared_->runs_on_host()) return flush();
   pending_->host = step_arguments_of(*pending_);

@@ -78,11 +78,25 @@ void tell_group(const Step& s, const ArticulationArguments& in, const ContactEve
 
 }  // namespace
 
+std::shared_ptr<const Step> take_before(ArticulationStep::Shared& shared,
+                                        const std::shared_ptr<const Step>& step) {
+  std::shared_ptr<const Step> before;
+  if (const auto at = shared.ends.find(step->in(kAt.q).range()->data()); at != shared.ends.end()) {
+    before = at->second.lock();
+    shared.ends.erase(at);
+  }
+  if (before == nullptr)
+    std::erase_if(shared.ends, [](const auto& end) { return end.second.expired(); });
+  shared.ends[step->outputs[0].tensor.range()->data()] = step;
+  return before;
+}
+
 void tell_events(const Step& s, const ArticulationArguments& in, const Step* before) {
   MotionNotes& notes = *s.motion;
   notes.chain = s.shared->chain;
   if (before != nullptr) {
     MotionNotes& last = *before->motion;
+    notes.chain = last.chain;
     notes.number = last.number + 1;
     notes.time = last.time + double{before->dt};
     for (const auto& told : last.told) told->whole = true;

@@ -2,34 +2,13 @@
 // are meshes.
 #include "convert.h"
 #include "doc_builder_elements.h"
+#include "element_arguments.h"
 #include "novaphy/core/sim/model_builder.h"
 
 namespace novaphy::python {
 namespace {
 
 using Builder = py::class_<ModelBuilder>;
-using OptionalFloat = std::optional<float>;
-
-// Returns indices as a flat list. The value is a flat list, or has rows of `width` indices.
-std::vector<int32_t> flat_indices(py::handle value, const char* name, int64_t width) {
-  py::object array = numpy().asarray(value);
-  if (array.attr("size").cast<int64_t>() == 0) return {};
-  const auto shape = array.attr("shape").cast<std::vector<int64_t>>();
-  require(shape.size() == 1 || (shape.size() == 2 && shape[1] == width), ErrorKind::Value, name,
-          ": expected shape (n,) or (n, ", width, "), got ",
-          std::string(py::str(array.attr("shape"))));
-  return to_int_list(array.attr("reshape")(-1), name);
-}
-
-// Returns the values of a list, a single value for a number, and an empty list for None.
-std::vector<float> one_or_each(py::handle value, const char* name) {
-  if (value.is_none()) return {};
-  if (PyFloat_Check(value.ptr()) || PyLong_Check(value.ptr())) return {to_float(value, name)};
-  if (PyObject_HasAttrString(value.ptr(), "__array_interface__") != 0 &&
-      value.attr("ndim").cast<int>() == 0)
-    return {to_float(value, name)};
-  return to_float_list(value, name);
-}
 
 // Returns no material if all columns are None, one if no column is a list, else one per element.
 template <class Material>
@@ -51,11 +30,6 @@ std::vector<Material> materials(
       rows[n].*member = column.size() == 1 ? column[0] : column[n];
   }
   return rows;
-}
-
-Placement placement(py::handle pos, py::handle rot, py::handle vel) {
-  const Vec4f q = to_vec4(rot, "rot");
-  return {to_vec3(pos, "pos"), {q.x, q.y, q.z, q.w}, to_vec3(vel, "vel")};
 }
 
 template <size_t N, class Row>
@@ -104,25 +78,6 @@ void bind_single(Builder& c) {
       "tri_kd"_a = py::none(), "tri_drag"_a = py::none(), "tri_lift"_a = py::none(),
       doc::kAddTriangles);
   c.def(
-      "add_tetrahedron",
-      [](ModelBuilder& b, int32_t i, int32_t j, int32_t k, int32_t l, OptionalFloat mu,
-         OptionalFloat lambda,
-         OptionalFloat damp) { return b.add_tetrahedron(i, j, k, l, mu, lambda, damp); },
-      "i"_a, "j"_a, "k"_a, "l"_a, "k_mu"_a = py::none(), "k_lambda"_a = py::none(),
-      "k_damp"_a = py::none(), doc::kAddTet);
-  c.def(
-      "add_tetrahedra",
-      [](ModelBuilder& b, py::handle i, py::handle j, py::handle k, py::handle l, py::handle mu,
-         py::handle lambda, py::handle damp) {
-        return b.add_tetrahedra(rows_of<4, Vec4i>({{i, "i"}, {j, "j"}, {k, "k"}, {l, "l"}}),
-                                one_or_each(mu, "k_mu"), one_or_each(lambda, "k_lambda"),
-                                one_or_each(damp, "k_damp"));
-      },
-      "i"_a, "j"_a, "k"_a, "l"_a, py::kw_only(), "k_mu"_a = py::none(), "k_lambda"_a = py::none(),
-      "k_damp"_a = py::none(),
-      "Adds n tetrahedra from four lists {n} of particles. Returns the volumes {n} (m^3). Each "
-      "material (see add_tetrahedron) is one number, or a list with one number per tetrahedron.");
-  c.def(
       "add_edge",
       [](ModelBuilder& b, int32_t i, int32_t j, int32_t k, int32_t l, OptionalFloat rest,
          OptionalFloat ke, OptionalFloat kd) {
@@ -144,6 +99,31 @@ void bind_single(Builder& c) {
       "edge_kd"_a = py::none(),
       "Adds n bending edges from four lists {n} of particles. rest: None, or a list {n} of angles "
       "(rad). Each material (see add_edge) is one number, or a list with one number per edge.");
+}
+
+void bind_tetrahedra(Builder& c) {
+  c.def(
+      "add_tetrahedron",
+      [](ModelBuilder& b, int32_t i, int32_t j, int32_t k, int32_t l, OptionalFloat mu,
+         OptionalFloat lambda, OptionalFloat damp, OptionalFloat young, OptionalFloat ratio) {
+        return b.add_tetrahedron(
+            i, j, k, l, {one_of(mu), one_of(lambda), one_of(damp), one_of(young), one_of(ratio)});
+      },
+      "i"_a, "j"_a, "k"_a, "l"_a, "k_mu"_a = py::none(), "k_lambda"_a = py::none(),
+      "k_damp"_a = py::none(), py::kw_only(), "youngs_modulus"_a = py::none(),
+      "poisson_ratio"_a = py::none(), doc::kAddTet);
+  c.def(
+      "add_tetrahedra",
+      [](ModelBuilder& b, py::handle i, py::handle j, py::handle k, py::handle l, py::handle mu,
+         py::handle lambda, py::handle damp, py::handle young, py::handle ratio) {
+        const TetMaterialLists of(mu, lambda, damp, young, ratio);
+        return b.add_tetrahedra(rows_of<4, Vec4i>({{i, "i"}, {j, "j"}, {k, "k"}, {l, "l"}}),
+                                of.view());
+      },
+      "i"_a, "j"_a, "k"_a, "l"_a, py::kw_only(), "k_mu"_a = py::none(), "k_lambda"_a = py::none(),
+      "k_damp"_a = py::none(), "youngs_modulus"_a = py::none(), "poisson_ratio"_a = py::none(),
+      "Adds n tetrahedra from four lists {n} of particles. Returns the volumes {n} (m^3). Each "
+      "material (see add_tetrahedron) is one number, or a list with one number per tetrahedron.");
 }
 
 void bind_grids(Builder& c) {
@@ -193,48 +173,6 @@ void bind_grids(Builder& c) {
       "tri_lift"_a = py::none(), "edge_ke"_a = py::none(), "edge_kd"_a = py::none(),
       "add_springs"_a = false, "spring_ke"_a = py::none(), "spring_kd"_a = py::none(),
       "particle_radius"_a = py::none(), doc::kAddClothGrid);
-  c.def(
-      "add_soft_grid",
-      [](ModelBuilder& b, py::handle pos, py::handle rot, py::handle vel, int32_t dim_x,
-         int32_t dim_y, int32_t dim_z, double cell_x, double cell_y, double cell_z, double density,
-         OptionalFloat k_mu, OptionalFloat k_lambda, OptionalFloat k_damp, bool fix_left,
-         bool fix_right, bool fix_top, bool fix_bottom, OptionalFloat tri_ke, OptionalFloat tri_ka,
-         OptionalFloat tri_kd, OptionalFloat tri_drag, OptionalFloat tri_lift,
-         bool add_surface_mesh_edges, OptionalFloat edge_ke, OptionalFloat edge_kd,
-         OptionalFloat particle_radius) {
-        b.add_soft_grid({placement(pos, rot, vel),
-                         dim_x,
-                         dim_y,
-                         dim_z,
-                         cell_x,
-                         cell_y,
-                         cell_z,
-                         density,
-                         k_mu,
-                         k_lambda,
-                         k_damp,
-                         fix_left,
-                         fix_right,
-                         fix_top,
-                         fix_bottom,
-                         {tri_ke, tri_ka, tri_kd, tri_drag, tri_lift},
-                         add_surface_mesh_edges,
-                         {edge_ke, edge_kd},
-                         particle_radius});
-      },
-      py::kw_only(), "pos"_a = origin, "rot"_a = no_turn, "vel"_a = origin, "dim_x"_a, "dim_y"_a,
-      "dim_z"_a, "cell_x"_a, "cell_y"_a, "cell_z"_a, "density"_a, "k_mu"_a = py::none(),
-      "k_lambda"_a = py::none(), "k_damp"_a = py::none(), "fix_left"_a = false,
-      "fix_right"_a = false, "fix_top"_a = false, "fix_bottom"_a = false, "tri_ke"_a = 0.0f,
-      "tri_ka"_a = 0.0f, "tri_kd"_a = 0.0f, "tri_drag"_a = 0.0f, "tri_lift"_a = 0.0f,
-      "add_surface_mesh_edges"_a = true, "edge_ke"_a = 0.0f, "edge_kd"_a = 0.0f,
-      "particle_radius"_a = py::none(), doc::kAddSoftGrid);
-}
-
-// Returns the argument. If the argument is None, returns the attribute of the mesh.
-py::object given_or(const py::object& mesh, const char* attribute, const py::object& argument) {
-  if (!argument.is_none() || mesh.is_none()) return argument;
-  return py::getattr(mesh, attribute, py::none());
 }
 
 void bind_meshes(Builder& c) {
@@ -267,43 +205,6 @@ void bind_meshes(Builder& c) {
       "edge_ke"_a = py::none(), "edge_kd"_a = py::none(), "add_springs"_a = false,
       "spring_ke"_a = py::none(), "spring_kd"_a = py::none(), "particle_radius"_a = py::none(),
       doc::kAddClothMesh);
-  c.def(
-      "add_soft_mesh",
-      [](ModelBuilder& b, py::handle pos, py::handle rot, double scale, py::handle vel,
-         const py::object& mesh, const py::object& vertices, const py::object& indices,
-         const py::object& density, const py::object& k_mu, const py::object& k_lambda,
-         const py::object& k_damp, OptionalFloat tri_ke, OptionalFloat tri_ka, OptionalFloat tri_kd,
-         OptionalFloat tri_drag, OptionalFloat tri_lift, bool add_surface_mesh_edges,
-         OptionalFloat edge_ke, OptionalFloat edge_kd, OptionalFloat particle_radius) {
-        const py::object v = given_or(mesh, "vertices", vertices);
-        const py::object t = given_or(mesh, "indices", indices);
-        require(!v.is_none() && !t.is_none(), ErrorKind::Value,
-                "add_soft_mesh: expected `mesh`, or `vertices` and `indices`, got neither");
-        const std::vector<Vec3f> points = to_vec3_list(v, "vertices");
-        const std::vector<int32_t> corners = flat_indices(t, "indices", 4);
-        const std::vector<float> mu = one_or_each(given_or(mesh, "k_mu", k_mu), "k_mu");
-        const std::vector<float> lambda =
-            one_or_each(given_or(mesh, "k_lambda", k_lambda), "k_lambda");
-        const std::vector<float> damp = one_or_each(given_or(mesh, "k_damp", k_damp), "k_damp");
-        b.add_soft_mesh({placement(pos, rot, vel),
-                         scale,
-                         points,
-                         corners,
-                         given_or(mesh, "density", density).cast<std::optional<double>>(),
-                         mu,
-                         lambda,
-                         damp,
-                         {tri_ke, tri_ka, tri_kd, tri_drag, tri_lift},
-                         add_surface_mesh_edges,
-                         {edge_ke, edge_kd},
-                         particle_radius});
-      },
-      py::kw_only(), "pos"_a = origin, "rot"_a = no_turn, "scale"_a = 1.0, "vel"_a = origin,
-      "mesh"_a = py::none(), "vertices"_a = py::none(), "indices"_a = py::none(),
-      "density"_a = py::none(), "k_mu"_a = py::none(), "k_lambda"_a = py::none(),
-      "k_damp"_a = py::none(), "tri_ke"_a = 0.0f, "tri_ka"_a = 0.0f, "tri_kd"_a = 0.0f,
-      "tri_drag"_a = 0.0f, "tri_lift"_a = 0.0f, "add_surface_mesh_edges"_a = true,
-      "edge_ke"_a = 0.0f, "edge_kd"_a = 0.0f, "particle_radius"_a = py::none(), doc::kAddSoftMesh);
 }
 
 Vec3f scale_of(py::handle scale) {
@@ -387,8 +288,8 @@ void bind_builder_elements(Builder& c) {
   NOVAPHY_DEFAULT(default_spring_kd, "The damping of the springs of cloth (N*s/m).")
   NOVAPHY_DEFAULT(default_edge_ke, "The stiffness of bending edges (N/m^2).")
   NOVAPHY_DEFAULT(default_edge_kd, "The damping of bending edges (N*s/m^4).")
-  NOVAPHY_DEFAULT(default_tet_k_mu, "The Lame parameter mu of tetrahedra (Pa).")
-  NOVAPHY_DEFAULT(default_tet_k_lambda, "The Lame parameter lambda of tetrahedra (Pa).")
+  NOVAPHY_DEFAULT(default_tet_k_mu, "k_mu of tetrahedra (Pa), see add_tetrahedron.")
+  NOVAPHY_DEFAULT(default_tet_k_lambda, "k_lambda of tetrahedra (Pa), see add_tetrahedron.")
   NOVAPHY_DEFAULT(default_tet_k_damp, "The damping of tetrahedra (Pa*s).")
   NOVAPHY_DEFAULT(default_tet_density, "The density of soft bodies (kg/m^3).")
 #undef NOVAPHY_DEFAULT
@@ -398,8 +299,10 @@ void bind_builder_elements(Builder& c) {
                              "The number of bending edges.")
       .def_property_readonly("tet_count", &ModelBuilder::tet_count, "The number of tetrahedra.");
   bind_single(c);
+  bind_tetrahedra(c);
   bind_grids(c);
   bind_meshes(c);
+  bind_soft_bodies(c);
   bind_mesh_shapes(c);
   bind_coloring(c);
 }

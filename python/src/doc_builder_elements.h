@@ -103,8 +103,8 @@ indices: the vertices of the tetrahedra (m, 4), or a flat array.
 mesh: an object with the attributes vertices and indices, and optionally density, k_mu, k_lambda and
 k_damp. The attributes replace arguments that are None.
 density: kg/m^3. Each corner gets a quarter of the mass of its tetrahedron.
-k_mu, k_lambda: Lame parameters (Pa), one number or one number for each tetrahedron.
-k_damp: damping (Pa*s), one number or one number for each tetrahedron.
+youngs_modulus, poisson_ratio, k_mu, k_lambda, k_damp: see add_tetrahedron. Each is one number, or
+one number for each tetrahedron. youngs_modulus replaces k_mu and k_lambda of the mesh.
 tri_ke, ..., edge_kd: the materials of the surface, see add_triangle and add_edge.
 
 ValueError: the mesh is empty, a vertex belongs to no tetrahedron, a tetrahedron is degenerate or
@@ -152,9 +152,18 @@ finite.)";
 inline constexpr char kAddTet[] =
     R"(Adds a tetrahedron between the particles i, j, k and l. Returns its volume (m^3).
 
-k_mu, k_lambda: Lame parameters (Pa); None: the builder's defaults, such as default_tet_k_mu.
+youngs_modulus: Young's modulus (Pa, > 0).
+poisson_ratio: Poisson's ratio, above -1 and below 0.5.
+Both give a body the same small-strain elasticity in each solver. The model stores the Lame
+parameters mu = E / (2 (1 + nu)) and lambda = 2 nu mu / (1 - 2 nu).
+k_mu, k_lambda: coefficients (Pa) of the law, in place of youngs_modulus and poisson_ratio; None:
+the builder's defaults, such as default_tet_k_mu. SolverVBD takes k_mu and k_lambda as Lame
+parameters. SolverSemiImplicit takes them as coefficients of its law, as Newton does: the Lame
+parameters are 3/4 k_mu and k_lambda - 5/8 k_mu there.
 k_damp: damping (Pa*s); None: default_tet_k_damp.
 
+ValueError: youngs_modulus or poisson_ratio is out of range, comes alone, or comes with k_mu or
+k_lambda.
 ValueError: the volume is at most 1e-7 of the cube of the longest edge, or the tetrahedron is
 inverted.)";
 

@@ -178,8 +178,7 @@ TEST(SoftMesh, LumpsItsMassByQuartersAndTakesAMaterialForEach) {
                          .vertices = vertices,
                          .indices = indices,
                          .density = 12.0,
-                         .k_mu = mu,
-                         .k_lambda = lambda});
+                         .material = {.k_mu = mu, .k_lambda = lambda}});
   const auto model = builder.finalize(Device::cpu());
   EXPECT_EQ(model->particle_tet_indices.to_host(),
             (std::vector<Vec4i>{{1, 2, 3, 4}, {2, 3, 4, 5}}));
@@ -218,9 +217,11 @@ TEST(SoftMesh, BrokenMeshesAreRefusedAndLeaveTheBuilderAsItWas) {
   refuse({.scale = 0.0, .vertices = vertices, .indices = good}, ErrorKind::Value, "scale");
   refuse({.vertices = vertices, .indices = good, .density = -1.0}, ErrorKind::Value, "density");
   const float two[] = {1.0f, 2.0f}, nan[] = {kNan};
-  refuse({.vertices = vertices, .indices = good, .k_mu = nan}, ErrorKind::Value, "k_mu");
+  refuse({.vertices = vertices, .indices = good, .material = {.k_mu = nan}}, ErrorKind::Value,
+         "k_mu");
   const int32_t twice[] = {0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3};
-  refuse({.vertices = vertices, .indices = twice, .k_damp = two}, ErrorKind::Value, "k_damp");
+  refuse({.vertices = vertices, .indices = twice, .material = {.k_damp = two}}, ErrorKind::Value,
+         "k_damp");
   refuse({.vertices = vertices, .indices = twice}, ErrorKind::Value,
          "more than two tetrahedra: expected a manifold mesh");
   SoftMeshArgs turned = {.vertices = vertices, .indices = good};

@@ -170,6 +170,7 @@ RAISES = {
 # Arrays that do not act on particles, with the reason.
 NO_PART = {
     "particle_tet_volume": "that of particle_tet_pose counts",
+    "particle_tet_is_lame": "both kinds of numbers are Lame parameters in VBD",
     "shape_color": "looks",
     "shape_is_solid": "of the mass of bodies",
     "shape_gap": "of contacts of shapes with each other",

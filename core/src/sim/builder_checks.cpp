@@ -9,6 +9,21 @@ constexpr float kInfiniteExtent = 1.0e6f;  // stands for infinity in bounds, as 
 
 }  // namespace
 
+void check_tet_materials(std::string_view function, const TetMaterials& of, size_t count) {
+  check_one_or_each(function, "k_mu", of.k_mu.size(), count);
+  check_one_or_each(function, "k_lambda", of.k_lambda.size(), count);
+  check_one_or_each(function, "k_damp", of.k_damp.size(), count);
+  check_one_or_each(function, "youngs_modulus", of.youngs_modulus.size(), count);
+  check_one_or_each(function, "poisson_ratio", of.poisson_ratio.size(), count);
+  const bool young = !of.youngs_modulus.empty(), ratio = !of.poisson_ratio.empty();
+  require(young == ratio, ErrorKind::Value, function,
+          ": expected youngs_modulus and poisson_ratio together, got only ",
+          young ? "youngs_modulus" : "poisson_ratio");
+  require(!young || (of.k_mu.empty() && of.k_lambda.empty()), ErrorKind::Value, function,
+          ": expected either k_mu and k_lambda, or youngs_modulus and poisson_ratio, got ",
+          of.k_mu.empty() ? "k_lambda" : "k_mu", " and youngs_modulus");
+}
+
 void check_shape_config(std::string_view function, const ShapeConfig& cfg) {
   check_not_negative({function, "cfg.density"}, cfg.density);
   check_not_negative({function, "cfg.ke"}, cfg.ke);

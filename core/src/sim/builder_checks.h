@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/element_args.h"
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/core/sim/shape_config.h"
 #include "novaphy/core/sim/world_settings.h"
@@ -87,6 +88,8 @@ template <class T>
 T one_or_each(std::span<const T> values, size_t element, const T& by_default) {
   return values.empty() ? by_default : values.size() == 1 ? values[0] : values[element];
 }
+// Checks the sizes of materials, and that they have one kind of elasticity.
+void check_tet_materials(std::string_view function, const TetMaterials& materials, size_t count);
 
 // Checks the material and the gap of a shape.
 void check_shape_config(std::string_view function, const ShapeConfig& cfg);

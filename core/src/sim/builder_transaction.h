@@ -33,7 +33,8 @@ class ModelBuilder::Transaction {
     shrink(triangles_ * 5, b.triangles_.material);
     shrink(edges_, b.edges_.indices, b.edges_.rest_angle, b.edges_.rest_length);
     shrink(edges_ * 2, b.edges_.material);
-    shrink(tetrahedra_, b.tetrahedra_.indices, b.tetrahedra_.pose, b.tetrahedra_.volume);
+    shrink(tetrahedra_, b.tetrahedra_.indices, b.tetrahedra_.pose, b.tetrahedra_.volume,
+           b.tetrahedra_.is_lame);
     shrink(tetrahedra_ * 3, b.tetrahedra_.material);
   }
   template <class... Vectors>

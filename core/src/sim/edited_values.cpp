@@ -11,6 +11,7 @@
 #include "novaphy/core/error.h"
 #include "novaphy/core/recorder.h"
 #include "novaphy/core/sim/enums.h"
+#include "rest_shape.h"
 
 namespace novaphy {
 namespace {
@@ -26,7 +27,8 @@ enum class Rule {
   UnitVector,
   UnitFrame,
   UnitPose,
-  RestPose
+  RestPose,
+  Elastic
 };
 
 struct Numbers {
@@ -80,7 +82,8 @@ double length(const float* v, size_t first, size_t width) {
 // Returns whether the rule allows number k of a row to be negative.
 bool any_sign(Rule rule, size_t k) {
   const bool not_negative = rule == Rule::NotNegative || rule == Rule::AtMostOne ||
-                            rule == Rule::Mass || (rule == Rule::Diagonal && k % 4 == 0);
+                            rule == Rule::Mass || (rule == Rule::Diagonal && k % 4 == 0) ||
+                            (rule == Rule::Elastic && k != 1);
   return !not_negative;
 }
 
@@ -107,6 +110,7 @@ void check_numbers(const char* solver, const Numbers& numbers) {
       case Rule::Finite:
       case Rule::NotNegative:
       case Rule::Diagonal:
+      case Rule::Elastic:
         break;
       case Rule::Unread:
         expect(v[0] == 0.0f, "0, which only solvers of articulations read otherwise", double{v[0]});
@@ -237,6 +241,7 @@ void EditedValues::check_arrays(const Model& m) {
     if (!must_read(arrays_[k], all[k].array)) continue;
     check_numbers(solver_, all[k]);
     if (&all[k].array == &m.shape_scale) check_sizes(solver_, m);
+    if (all[k].rule == Rule::Elastic) detail::check_elasticity(solver_, m);
     arrays_[k].set(all[k].array);
   }
   check_limits(m);

@@ -45,6 +45,19 @@ void check_material(const Element& e, const char* name, float value) {
   require(std::isfinite(value) && value >= 0.0f, ErrorKind::Value, e, ": ", name,
           ": expected a finite number >= 0, got ", value);
 }
+// Sets mu and lambda to the Lame parameters of Young's modulus and Poisson's ratio.
+void set_lame(const Element& e, float young, float ratio, float& mu, float& lambda) {
+  require(std::isfinite(young) && young > 0.0f, ErrorKind::Value, e,
+          ": youngs_modulus: expected a finite number > 0, got ", young);
+  require(ratio > -1.0f && ratio < 0.5f, ErrorKind::Value, e,
+          ": poisson_ratio: expected a number above -1 and below 0.5, got ", ratio);
+  const double shear = 0.5 * double{young} / (1.0 + double{ratio});
+  mu = static_cast<float>(shear);
+  lambda = static_cast<float>(2.0 * shear * double{ratio} / (1.0 - 2.0 * double{ratio}));
+  require(std::isfinite(mu) && std::isfinite(lambda), ErrorKind::Value, e,
+          ": youngs_modulus: expected Lame parameters within float32, got ", young,
+          " with poisson_ratio ", ratio);
+}
 // Checks the size of an element. `relative` is the size relative to the longest edge. NaN fails.
 void check_size(const Element& e, const char* what, double relative, double size) {
   require(relative > detail::kSmallestRelativeSize, ErrorKind::Value, e, ": expected ", what,
@@ -101,13 +114,22 @@ float ModelBuilder::append_triangle(std::string_view function, const Vec3i& tria
 }
 
 float ModelBuilder::append_tetrahedron(std::string_view function, const Vec4i& tetrahedron,
-                                       float k_mu, float k_lambda, float k_damp) {
+                                       const TetMaterials& materials, size_t n) {
   const auto [i, j, k, l] = tetrahedron;
   const Element e{function, "tetrahedron", tetrahedra_.indices.size(), {i, j, k, l}};
   for (const int32_t particle : {i, j, k, l}) check_particle(e, particle, particle_count());
-  check_material(e, "k_mu", k_mu);
-  check_material(e, "k_lambda", k_lambda);
-  check_material(e, "k_damp", k_damp);
+  const bool is_lame = !materials.youngs_modulus.empty();
+  float mu = detail::one_or_each(materials.k_mu, n, default_tet_k_mu);
+  float lambda = detail::one_or_each(materials.k_lambda, n, default_tet_k_lambda);
+  if (is_lame) {
+    set_lame(e, detail::one_or_each(materials.youngs_modulus, n, 0.0f),
+             detail::one_or_each(materials.poisson_ratio, n, 0.0f), mu, lambda);
+  } else {
+    check_material(e, "k_mu", mu);
+    check_material(e, "k_lambda", lambda);
+  }
+  const float damp = detail::one_or_each(materials.k_damp, n, default_tet_k_damp);
+  check_material(e, "k_damp", damp);
   check_capacity(e);
   const detail::TetrahedronRest rest = detail::tetrahedron_rest(
       particle_q[static_cast<size_t>(i)], particle_q[static_cast<size_t>(j)],
@@ -116,7 +138,8 @@ float ModelBuilder::append_tetrahedron(std::string_view function, const Vec4i& t
   tetrahedra_.indices.push_back(tetrahedron);
   tetrahedra_.pose.push_back(rest.pose);
   tetrahedra_.volume.push_back(rest.volume);
-  tetrahedra_.material.insert(tetrahedra_.material.end(), {k_mu, k_lambda, k_damp});
+  tetrahedra_.material.insert(tetrahedra_.material.end(), {mu, lambda, damp});
+  tetrahedra_.is_lame.push_back(is_lame ? 1 : 0);
   return rest.volume;
 }
 
@@ -186,27 +209,25 @@ std::vector<float> ModelBuilder::add_triangles(std::span<const Vec3i> indices,
 float ModelBuilder::add_tetrahedron(int32_t i, int32_t j, int32_t k, int32_t l,
                                     std::optional<float> k_mu, std::optional<float> k_lambda,
                                     std::optional<float> k_damp) {
-  return append_tetrahedron("add_tetrahedron", {i, j, k, l}, k_mu.value_or(default_tet_k_mu),
-                            k_lambda.value_or(default_tet_k_lambda),
-                            k_damp.value_or(default_tet_k_damp));
+  return add_tetrahedron(i, j, k, l, {one_of(k_mu), one_of(k_lambda), one_of(k_damp)});
+}
+
+float ModelBuilder::add_tetrahedron(int32_t i, int32_t j, int32_t k, int32_t l,
+                                    const TetMaterials& material) {
+  constexpr std::string_view name = "add_tetrahedron";
+  detail::check_tet_materials(name, material, 1);
+  return append_tetrahedron(name, {i, j, k, l}, material, 0);
 }
 
 std::vector<float> ModelBuilder::add_tetrahedra(std::span<const Vec4i> indices,
-                                                std::span<const float> k_mu,
-                                                std::span<const float> k_lambda,
-                                                std::span<const float> k_damp) {
+                                                const TetMaterials& materials) {
   constexpr std::string_view name = "add_tetrahedra";
-  detail::check_one_or_each(name, "k_mu", k_mu.size(), indices.size());
-  detail::check_one_or_each(name, "k_lambda", k_lambda.size(), indices.size());
-  detail::check_one_or_each(name, "k_damp", k_damp.size(), indices.size());
+  detail::check_tet_materials(name, materials, indices.size());
   Transaction transaction(*this);
   std::vector<float> volumes;
   volumes.reserve(indices.size());
   for (size_t n = 0; n < indices.size(); ++n)
-    volumes.push_back(append_tetrahedron(name, indices[n],
-                                         detail::one_or_each(k_mu, n, default_tet_k_mu),
-                                         detail::one_or_each(k_lambda, n, default_tet_k_lambda),
-                                         detail::one_or_each(k_damp, n, default_tet_k_damp)));
+    volumes.push_back(append_tetrahedron(name, indices[n], materials, n));
   transaction.keep();
   return volumes;
 }

@@ -33,6 +33,7 @@ void ModelBuilder::upload_elements(Model& m) const {
   upload(m.particle_tet_pose, tetrahedra_.pose);
   upload(m.particle_tet_volume, tetrahedra_.volume);
   upload(m.particle_tet_material, tetrahedra_.material);
+  upload(m.particle_tet_is_lame, tetrahedra_.is_lame);
 }
 
 template <class Shapes>

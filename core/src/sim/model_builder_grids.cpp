@@ -138,6 +138,9 @@ void ModelBuilder::add_soft_grid(const SoftGridArgs& args) {
           ": density: expected a finite number >= 0, got ", args.density);
   const auto mass = static_cast<float>(args.cell_x * args.cell_y * args.cell_z * args.density);
   detail::check_mass({name, "density"}, mass);
+  const TetMaterials material = {one_of(args.k_mu), one_of(args.k_lambda), one_of(args.k_damp),
+                                 one_of(args.youngs_modulus), one_of(args.poisson_ratio)};
+  detail::check_tet_materials(name, material, 1);
   const int32_t nx = args.dim_x + 1, ny = args.dim_y + 1, nz = args.dim_z + 1;
   check_particles(name, int64_t{nx} * ny * nz);
 
@@ -156,13 +159,10 @@ void ModelBuilder::add_soft_grid(const SoftGridArgs& args) {
   for (size_t n = 0; n < masses.size(); ++n)
     particle_mass[static_cast<size_t>(first) + n] = masses[n];
 
-  const float k_mu = args.k_mu.value_or(default_tet_k_mu);
-  const float k_lambda = args.k_lambda.value_or(default_tet_k_lambda);
-  const float k_damp = args.k_damp.value_or(default_tet_k_damp);
   std::vector<Vec4i> tetrahedra;
   const auto add = [&](int32_t i, int32_t j, int32_t k, int32_t l) {
     tetrahedra.push_back({i, j, k, l});
-    append_tetrahedron(name, tetrahedra.back(), k_mu, k_lambda, k_damp);
+    append_tetrahedron(name, tetrahedra.back(), material, 0);
   };
   for (int32_t z = 0; z < args.dim_z; ++z)
     for (int32_t y = 0; y < args.dim_y; ++y)

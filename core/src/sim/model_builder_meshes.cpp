@@ -98,9 +98,7 @@ void ModelBuilder::add_soft_mesh(const SoftMeshArgs& args) {
   Transaction transaction(*this);
   check_mesh(name, args.vertices, args.indices, 4, "tetrahedron");
   const size_t count = args.indices.size() / 4;
-  detail::check_one_or_each(name, "k_mu", args.k_mu.size(), count);
-  detail::check_one_or_each(name, "k_lambda", args.k_lambda.size(), count);
-  detail::check_one_or_each(name, "k_damp", args.k_damp.size(), count);
+  detail::check_tet_materials(name, args.material, count);
   const double density = args.density.value_or(static_cast<double>(default_tet_density));
   require(std::isfinite(density) && density >= 0.0, ErrorKind::Value, name,
           ": density: expected a finite number >= 0, got ", density);
@@ -110,10 +108,7 @@ void ModelBuilder::add_soft_mesh(const SoftMeshArgs& args) {
   for (size_t n = 0; n < count; ++n) {
     const auto corner = [&](size_t c) { return first + args.indices[4 * n + c]; };
     const Vec4i t = {corner(0), corner(1), corner(2), corner(3)};
-    const float volume =
-        append_tetrahedron(name, t, detail::one_or_each(args.k_mu, n, default_tet_k_mu),
-                           detail::one_or_each(args.k_lambda, n, default_tet_k_lambda),
-                           detail::one_or_each(args.k_damp, n, default_tet_k_damp));
+    const float volume = append_tetrahedron(name, t, args.material, n);
     const float mass = static_cast<float>(density) * volume / 4.0f;
     for (const int32_t p : {t.x, t.y, t.z, t.w}) particle_mass[static_cast<size_t>(p)] += mass;
     tetrahedra.push_back(t);

@@ -130,6 +130,7 @@ void ModelBuilder::append_elements(const ModelBuilder& b) {
   append(tetrahedra_.pose, b.tetrahedra_.pose);
   append(tetrahedra_.volume, b.tetrahedra_.volume);
   append(tetrahedra_.material, b.tetrahedra_.material);
+  append(tetrahedra_.is_lame, b.tetrahedra_.is_lame);
 }
 
 void ModelBuilder::add_builder(const ModelBuilder& b, const Transformf& given) {

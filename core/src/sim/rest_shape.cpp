@@ -5,6 +5,8 @@
 #include <initializer_list>
 #include <utility>
 
+#include "novaphy/core/error.h"
+#include "novaphy/core/sim/model.h"
 #include "novaphy/math/types.h"
 
 namespace novaphy::detail {
@@ -100,6 +102,18 @@ TetrahedronRest tetrahedron_rest(const Vec3f& p, const Vec3f& q, const Vec3f& r,
   rest.volume = static_cast<float>(solved.determinant) / 6.0f;
   round_to(rest.pose.m, solved);
   return rest;
+}
+
+void check_elasticity(std::string_view solver, const Model& model) {
+  const std::vector<float> material = model.particle_tet_material.to_host();
+  const std::vector<int32_t> is_lame = model.particle_tet_is_lame.to_host();
+  for (size_t e = 0; e < is_lame.size(); ++e) {
+    const double mu = double{material[3 * e]}, lambda = double{material[3 * e + 1]};
+    const bool lame = is_lame[e] != 0;
+    require(lame ? 3.0 * lambda + 2.0 * mu >= -1e-6 * mu : lambda >= 0.0, ErrorKind::Value, solver,
+            ": model.particle_tet_material[", e, "]: expected finite numbers ",
+            lame ? "with k_lambda >= -2/3 k_mu" : ">= 0", ", got ", lambda);
+  }
 }
 
 }  // namespace novaphy::detail

@@ -5,7 +5,13 @@
 // arrays have the same bits.
 #pragma once
 
+#include <string_view>
+
 #include "novaphy/math/types.h"
+
+namespace novaphy {
+class Model;
+}
 
 namespace novaphy::detail {
 
@@ -26,5 +32,9 @@ struct TetrahedronRest {
   double relative;  // volume / longest edge^3
 };
 TetrahedronRest tetrahedron_rest(const Vec3f& p, const Vec3f& q, const Vec3f& r, const Vec3f& s);
+
+// Checks k_lambda of all tetrahedra of a model: >= 0, or with Lame parameters a bulk modulus >= 0
+// up to rounding. ErrorKind::Value names the solver and the row.
+void check_elasticity(std::string_view solver, const Model& model);
 
 }  // namespace novaphy::detail

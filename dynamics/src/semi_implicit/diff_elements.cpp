@@ -170,7 +170,7 @@ detail::OperatorSpec detail::with_kernel(OperatorSpec spec) {
                                            {"particle_q", DType::F32, 3, Access::Indexed},
                                            {"particle_qd", DType::F32, 3, Access::Indexed}};
   for (const OperatorSpec::Parameter& p : spec.parameters)
-    sources.push_back({p.source, DType::F32, p.width, Access::Direct});
+    sources.push_back({p.source, p.type, p.width, Access::Direct});
   const nova::Kernel kernel =
       nova::make_kernel(spec.kernel_name, sources, {{"contribution", 3 * spec.corners}}, spec.law);
   std::vector<nova::AdjointMask> masks = nova::gradient_sets(kernel, {"particle_q", "particle_qd"});

@@ -6,7 +6,9 @@
 namespace novaphy::diff {
 
 using nova::Access;
+using nova::Bool;
 using nova::DType;
+using nova::Int;
 using nova::Real;
 using nova::Tensor;
 using nova::TraceContext;
@@ -42,6 +44,7 @@ const detail::OperatorSpec& detail::tetrahedron_operator() {
         {"activation", 1,
          array_of<&Model::particle_tet_activation, &Control::particle_tet_activation>,
          "tet_activations"},
+        {"is_lame", 1, array_of<&Model::particle_tet_is_lame>, nullptr, DType::I32},
         {"material", 3, array_of<&Model::particle_tet_material>, "tet_materials"}},
        [](TraceContext& c) {
          Vec3<Real> x[4], v[4];
@@ -50,8 +53,10 @@ const detail::OperatorSpec& detail::tetrahedron_operator() {
          for (int32_t i = 0; i < 3; ++i)
            for (int32_t j = 0; j < 3; ++j) pose.m[i][j] = c.f32(c.source("pose"), 3 * i + j);
          const size_t m = c.source("material");
+         const Bool is_lame = c.i32(c.source("is_lame")) != Int(0);
          const TetrahedronForces<Real> f = tetrahedron_forces<Real>(
-             x, v, pose, c.f32(c.source("activation")), {c.f32(m, 0), c.f32(m, 1), c.f32(m, 2)});
+             x, v, pose, c.f32(c.source("activation")),
+             coefficients_of<Bool, Real>(is_lame, {c.f32(m, 0), c.f32(m, 1), c.f32(m, 2)}));
          return contributions({f.f0, f.f1, f.f2, f.f3});
        }}));
   return spec;

@@ -85,12 +85,14 @@ void tetrahedra(const Model& m, const float* activation, const Vec3f* q, const V
   const Vec4i* corners = m.particle_tet_indices.data();
   const Mat33f* pose = m.particle_tet_pose.data();
   const float* material = m.particle_tet_material.data();
+  const int32_t* is_lame = m.particle_tet_is_lame.data();
   for_elements(m.tet_count(), 4, forces, [&](int64_t e, Vec3f* f) {
     const auto [i, j, k, l] = corners[e];
     const Corners<4> at({i, j, k, l}, q, qd);
     const float* c = material + 3 * e;
-    const TetrahedronForces<float> t =
-        tetrahedron_forces<float>(at.x, at.v, pose[e], activation[e], {c[0], c[1], c[2]});
+    const TetrahedronForces<float> t = tetrahedron_forces<float>(
+        at.x, at.v, pose[e], activation[e],
+        coefficients_of<bool, float>(is_lame[e] != 0, {c[0], c[1], c[2]}));
     f[0] = t.f0;
     f[1] = t.f1;
     f[2] = t.f2;

@@ -10,6 +10,7 @@
 #include "novaphy/core/sim/enums.h"
 #include "novaphy/core/storage.h"
 #include "novaphy/core/warning.h"
+#include "novaphy/dynamics/semi_implicit/tetrahedron_trace.h"
 #include "novaphy/math/hinge.h"
 #include "novaphy/math/spatial.h"
 
@@ -171,6 +172,7 @@ class Elements {
     const auto corners = m.particle_tet_indices.to_host();
     const auto poses = m.particle_tet_pose.to_host();
     const auto materials = m.particle_tet_material.to_host();
+    const auto is_lame = m.particle_tet_is_lame.to_host();
     for (size_t e = 0; e < corners.size(); ++e) {
       const int32_t c[4] = {corners[e].x, corners[e].y, corners[e].z, corners[e].w};
       if (!known(c[0]) || !known(c[1]) || !known(c[2]) || !known(c[3])) continue;
@@ -181,8 +183,9 @@ class Elements {
                     {d[2][0], d[2][1], d[2][2]}};
       w[0] = -(w[1] + w[2] + w[3]);
       const float volume = 1.0f / (6.0f * math::dot(w[1], math::cross(w[2], w[3])));
-      const float mu = materials[3 * e], lambda = materials[3 * e + 1], damp = materials[3 * e + 2],
-                  k = share(4) * volume;
+      const float k = share(4) * volume;
+      const auto [mu, lambda, damp] = coefficients_of<bool, float>(
+          is_lame[e] != 0, {materials[3 * e], materials[3 * e + 1], materials[3 * e + 2]});
       for (int a = 0; a < 4; ++a) {
         const float square = math::dot(w[a], w[a]);
         Terms& t = of(c[a]);
@@ -334,8 +337,9 @@ void ParticleWatch::look(const Model& model, const ParticleForces& forces, float
       &model.particle_spring_stiffness, &model.particle_spring_damping,
       &model.particle_tri_material,     &model.particle_tri_pose,
       &model.particle_edge_material,    &model.particle_tet_material,
-      &model.particle_tet_pose,         &model.shape_material_ke,
-      &model.shape_material_kd,         &model.shape_material_kf};
+      &model.particle_tet_is_lame,      &model.particle_tet_pose,
+      &model.shape_material_ke,         &model.shape_material_kd,
+      &model.shape_material_kf};
   bool known = dt <= longest_dt_ && (had_contacts_ || !forces.contacts);
   for (size_t i = 0; i < kRead; ++i)
     known = known && (read[i]->rows() == 0 || read_[i].matches(*read[i]));

@@ -21,6 +21,7 @@ namespace novaphy {
 //   NotZero      an axis or quaternion of length > 0; an optimizer may change the length of a
 //                joint's axis or quaternion, because these have a gradient
 //   RestPose     determinant > 0
+//   Elastic      k_mu, k_damp >= 0; k_lambda >= 0, or a bulk modulus >= 0 with Lame parameters
 #define NOVAPHY_EDITED_ARRAYS(X)              \
   X(gravity, Finite)                          \
   X(body_gravcomp, Unread)                    \
@@ -41,7 +42,7 @@ namespace novaphy {
   X(particle_edge_material, NotNegative)      \
   X(particle_tet_pose, RestPose)              \
   X(particle_tet_activation, Finite)          \
-  X(particle_tet_material, NotNegative)       \
+  X(particle_tet_material, Elastic)           \
   X(joint_X_p, NotZero)                       \
   X(joint_X_c, NotZero)                       \
   X(joint_axis, NotZero)                      \

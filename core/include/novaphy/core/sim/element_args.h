@@ -77,6 +77,21 @@ struct ClothMeshArgs {
   std::optional<float> particle_radius = {};
 };
 
+// Materials of tetrahedra. Each span is empty, or has one value, or one value per tetrahedron.
+struct TetMaterials {
+  // Pa, Pa, Pa*s, >= 0; empty: the builder's defaults. SolverVBD takes k_mu and k_lambda as Lame
+  // parameters, SolverSemiImplicit as coefficients of its law (Model::particle_tet_is_lame).
+  std::span<const float> k_mu = {}, k_lambda = {}, k_damp = {};
+  // Young's modulus (Pa, > 0) and Poisson's ratio (above -1, below 0.5), in place of k_mu and
+  // k_lambda. The elasticity is then the same in each solver.
+  std::span<const float> youngs_modulus = {}, poisson_ratio = {};
+};
+
+// Returns a view of the value, empty if there is none.
+inline std::span<const float> one_of(const std::optional<float>& value) {
+  return value ? std::span<const float>(&*value, 1) : std::span<const float>();
+}
+
 // A grid of (dim_x + 1) * (dim_y + 1) * (dim_z + 1) particles, x fastest, then y. Each cell has
 // five tetrahedra. Triangles cover the surface, and their edges are bending edges.
 struct SoftGridArgs {
@@ -85,7 +100,8 @@ struct SoftGridArgs {
   double cell_x = 0.1, cell_y = 0.1, cell_z = 0.1;  // m
   // kg/m^3. Every particle, inside or on the surface, has the mass of one cell, as in Newton.
   double density = 1.0;
-  std::optional<float> k_mu = {}, k_lambda = {}, k_damp = {};  // Pa, Pa, Pa*s
+  std::optional<float> k_mu = {}, k_lambda = {}, k_damp = {};  // see TetMaterials
+  std::optional<float> youngs_modulus = {}, poisson_ratio = {};
   // Gives the particles at the ends of x (left, right) and y (bottom, top) mass 0.
   bool fix_left = false, fix_right = false, fix_top = false, fix_bottom = false;
   TriMaterial tri = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
@@ -102,8 +118,7 @@ struct SoftMeshArgs {
   std::span<const Vec3f> vertices = {};
   std::span<const int32_t> indices = {};  // 4 per tetrahedron, of positive volume
   std::optional<double> density = {};     // kg/m^3, >= 0; empty: default_tet_density
-  // empty, one value, or one value per tetrahedron
-  std::span<const float> k_mu = {}, k_lambda = {}, k_damp = {};
+  TetMaterials material = {};
   TriMaterial tri = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
   bool add_surface_mesh_edges = true;
   EdgeMaterial edge = {0.0f, 0.0f};

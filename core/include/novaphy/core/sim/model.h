@@ -148,7 +148,9 @@ namespace novaphy {
   X(particle_tet_activation, float, 1, tet_count, "1", "",                                        \
     "added to the relative volume; a step uses the activation of its Control, if it has one")     \
   X(particle_tet_material, float, 3, tet_count, "Pa, Pa, Pa*s", "",                               \
-    "k_mu, k_lambda (Lame), k_damp (damping)")                                                    \
+    "k_mu, k_lambda (Lame parameters in SolverVBD, see particle_tet_is_lame), k_damp (damping)")  \
+  X(particle_tet_is_lame, int32_t, 1, tet_count, "", "",                                          \
+    "1: k_mu and k_lambda are Lame parameters in SolverSemiImplicit, too; 0: Newton's numbers")   \
   X(body_q, Transformf, 1, body_count, "m, 1", "world",                                           \
     "initial poses of the body origins: position, quaternion xyzw")                               \
   X(body_qd, SpatialVectorf, 1, body_count, "m/s, rad/s", "world",                                \

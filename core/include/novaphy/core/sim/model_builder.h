@@ -236,11 +236,10 @@ class NOVAPHY_CORE_API ModelBuilder {
   // Adds a tetrahedron. The right-hand normal of (i, j, k) points to l. Returns the volume (m^3).
   float add_tetrahedron(int32_t i, int32_t j, int32_t k, int32_t l, std::optional<float> k_mu = {},
                         std::optional<float> k_lambda = {}, std::optional<float> k_damp = {});
-  // Adds tetrahedra. Each material: empty, one for all, or one each. Returns the volumes (m^3).
+  float add_tetrahedron(int32_t i, int32_t j, int32_t k, int32_t l, const TetMaterials& material);
+  // Adds tetrahedra. Returns the volumes (m^3).
   std::vector<float> add_tetrahedra(std::span<const Vec4i> indices,
-                                    std::span<const float> k_mu = {},
-                                    std::span<const float> k_lambda = {},
-                                    std::span<const float> k_damp = {});
+                                    const TetMaterials& materials = {});
   // Adds a bending edge from k to l between triangles (i, k, l) and (j, l, k). i or j = -1 makes a
   // border edge, which has no force. Empty `rest` (rad): the present angle. Returns the index.
   int32_t add_edge(int32_t i, int32_t j, int32_t k, int32_t l, std::optional<float> rest = {},
@@ -437,6 +436,7 @@ class NOVAPHY_CORE_API ModelBuilder {
     std::vector<Vec4i> indices;
     std::vector<Mat33f> pose;
     std::vector<float> volume, material;  // material: 3 numbers per tetrahedron
+    std::vector<int32_t> is_lame;
   };
   class Transaction;
   // The mass properties of the bodies with their shapes, one row per body.
@@ -473,8 +473,8 @@ class NOVAPHY_CORE_API ModelBuilder {
                      float control, bool tension_only);
   float append_triangle(std::string_view function, const Vec3i& triangle,
                         const TriMaterial& material);
-  float append_tetrahedron(std::string_view function, const Vec4i& tetrahedron, float k_mu,
-                           float k_lambda, float k_damp);
+  float append_tetrahedron(std::string_view function, const Vec4i& tetrahedron,
+                           const TetMaterials& materials, size_t n);
   void append_edge(std::string_view function, const Vec4i& edge, std::optional<float> rest,
                    const EdgeMaterial& material);
   int32_t append_vertices(std::string_view function, const Placement& placement, double scale,

@@ -123,6 +123,7 @@ struct OperatorSpec {
     int32_t width;
     ArrayOf array;
     const char* argument;  // argument of the public function; null: always the model's array
+    nova::DType type = nova::DType::F32;
   };
   const char* kernel_name;
   const char* function;  // name of the public function

@@ -60,7 +60,7 @@ class NOVAPHY_DYNAMICS_API ParticleWatch {
   void look(const Model& model, const ParticleForces& forces, float dt);
 
  private:
-  static constexpr size_t kRead = 12;
+  static constexpr size_t kRead = 13;
   const char* function_;
   uint64_t calls_ = 0;
   bool warned_ = false, had_contacts_ = false;

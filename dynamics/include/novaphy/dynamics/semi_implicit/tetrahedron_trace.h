@@ -11,11 +11,16 @@
 // Symbols:
 //   x, v       position (m) and velocity (m/s) of the corners, world frame
 //   Dm         inverse of the matrix of rest edges x_a - x_0 as columns (1/m)
-//   mu, lam    Lame parameters (Pa), damp (Pa*s): the columns of particle_tet_material
+//   mu, lam    coefficients (Pa), damp (Pa*s): the columns of particle_tet_material, where
+//              particle_tet_is_lame is 0
 //   act        activation, added to the relative volume (1)
 //   results    N, world frame
 // alpha makes the rest shape free of force: at F = 1 the deviatoric stress is 3/4 mu and the
 // volumetric stress is -3/4 mu.
+//
+// For small strains the shear modulus is 3/4 mu and the first Lame parameter lam - 5/8 mu. Where
+// particle_tet_is_lame is 1, the columns are the Lame parameters mu_L and lam_L. The law then has
+//   mu = 4/3 mu_L,  lam = lam_L + 5/6 mu_L
 //
 // lam = 0 switches the volumetric stiffness off. Its part of the force, and the derivative by lam,
 // are exactly 0 (alpha is not computed). The deviatoric part and the damping remain. Newton divides
@@ -45,6 +50,14 @@ template <class T>
 struct TetrahedronMaterial {
   T mu{}, lambda{}, damping{};
 };
+
+// Returns the coefficients of the law. `is_lame`: the material has Lame parameters.
+template <class Flag, class T>
+TetrahedronMaterial<T> coefficients_of(const Flag& is_lame, const TetrahedronMaterial<T>& of) {
+  using namespace math;
+  return {select(is_lame, of.mu * T(4.0f / 3.0f), of.mu),
+          select(is_lame, of.lambda + of.mu * T(5.0f / 6.0f), of.lambda), of.damping};
+}
 
 // The forces of a tetrahedron on its corners.
 template <class T>

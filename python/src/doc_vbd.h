@@ -68,13 +68,14 @@ None: all iterations run. With solve="converged" all iterations run, and the tol
 is the residual at which the step counts as converged.
 safeguard: True halves the step of a particle as long as the step raises the energy.
 coarse: "auto": a coarse correction follows each iteration and reduces errors that span many
-particles. None: no correction. Not possible together with acceleration.
+particles. Acceleration, safeguard, self-contact and dynamic bodies switch the correction off; the
+attribute `coarse` is then None. None: no correction.
 solve: "iterations": a step ends after the iterations. "converged": Newton's method continues until
 the step is at the minimum of its energy; on the CPU, outside of captures.
 lhs_regularization: the relative regularization of nearly singular blocks (1).
 particle_enable_self_contact: True: triangles push each other apart, with the model's
 soft_contact_ke, soft_contact_kd and soft_contact_mu, and never cross. Possible on the CPU, outside
-of captures, with solve="iterations" and without acceleration, tolerance, safeguard and coarse.
+of captures, with solve="iterations" and without acceleration, tolerance and safeguard.
 particle_self_contact_radius: the distance at which self-contacts begin (m). None: twice
 particle_radius.
 particle_self_contact_margin: another name of the radius, as in Newton.

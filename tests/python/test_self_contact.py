@@ -254,8 +254,7 @@ def test_bad_options_are_named():
         with pytest.raises(ValueError, match=message):
             solver_of(model, **given)
     for given in [
-        {"coarse": "auto"}, {"acceleration": 0.5}, {"tolerance": 1e-3}, {"safeguard": True},
-        {"solve": "converged"},
+        {"acceleration": 0.5}, {"tolerance": 1e-3}, {"safeguard": True}, {"solve": "converged"},
     ]:  # fmt: skip
         with pytest.raises(NotImplementedError, match=f"{next(iter(given))}.*not supported"):
             solver_of(model, **given)

@@ -261,12 +261,14 @@ def test_a_rollout_with_checkpoints_has_the_bits_of_steps() -> None:
     assert np.array_equal(trajectory.recompute(20).particle_q.numpy(), expected.particle_q.numpy())
 
 
-def test_coarse_is_refused_where_particles_touch_dynamic_bodies() -> None:
+def test_coarse_is_off_beside_dynamic_bodies() -> None:
     builder = builder_of()
     add_sheet(builder, 4)
     add_box(builder, (0, 0, 0.105), 1.0)
-    with pytest.raises(NotImplementedError, match="coarse: not supported with contacts of part"):
-        run(finalize(builder), 1, 1 / 240, coarse="auto")
+    model = finalize(builder)
+    assert SolverVBD(model, coarse="auto").coarse is None
+    auto, none = (run(model, 2, 1 / 240, coarse=coarse) for coarse in ("auto", None))
+    assert np.array_equal(auto.particle_q.numpy(), none.particle_q.numpy())
 
 
 def test_a_normal_that_is_not_finite_is_named() -> None:

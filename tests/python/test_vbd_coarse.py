@@ -196,15 +196,26 @@ def test_worlds_and_threads_change_no_bit():
     np.testing.assert_array_equal(ends[1], ends[2])
 
 
-def test_options_that_do_not_fit_are_refused():
+def test_the_step_is_off_where_it_is_not_supported():
     model = hanging_sheet()
     assert SolverVBD(model).coarse is None
     assert SolverVBD(model, coarse="auto").coarse == "auto"
     with pytest.raises(ValueError, match='coarse: expected "auto" or None, got "fine"'):
         SolverVBD(model, coarse="fine")
-    for other in ({"acceleration": 0.5}, {"safeguard": True}):
-        with pytest.raises(ValueError, match="coarse: expected"):
-            SolverVBD(model, coarse="auto", **other)
+    ends = {}
+    for name, other in (
+        ("acceleration", {"acceleration": 0.5}),
+        ("safeguard", {"safeguard": True}),
+        (
+            "self-contact",
+            {"particle_enable_self_contact": True, "particle_self_contact_radius": 0.01},
+        ),
+    ):
+        for coarse in (None, "auto"):
+            solver = SolverVBD(model, iterations=3, coarse=coarse, **other)
+            assert solver.coarse is None, name
+            ends[coarse] = advance(solver, model.state(), 2, 1 / 60).particle_q.numpy()
+        np.testing.assert_array_equal(ends[None], ends["auto"], name)
 
 
 @pytest.mark.parametrize(

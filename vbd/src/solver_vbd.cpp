@@ -1,11 +1,13 @@
 #include "novaphy/vbd/solver_vbd.h"
 
+#include <algorithm>
 #include <cmath>
 #include <utility>
 
 #include "bodies.h"
 #include "element_arrays.h"
 #include "novaphy/core/error.h"
+#include "novaphy/core/sim/enums.h"
 #include "step.h"
 #include "step_tangent.h"
 
@@ -32,10 +34,6 @@ void check_options(const VbdOptions& o) {
             "tolerance: expected a finite number > 0, or none, got ", *o.tolerance);
   require(!o.safeguard || !o.acceleration, ErrorKind::Value, name,
           "safeguard: expected no acceleration besides, which may raise the energy");
-  require(!o.coarse || !o.acceleration, ErrorKind::Value, name,
-          "coarse: expected no acceleration besides, got ", o.acceleration.value_or(0.0f));
-  require(!o.coarse || !o.safeguard, ErrorKind::Value, name,
-          "coarse: expected safeguard False besides, got True");
   require(std::isfinite(o.lhs_regularization) && o.lhs_regularization >= 0.0f, ErrorKind::Value,
           name, "lhs_regularization: expected a finite number >= 0, got ", o.lhs_regularization);
 }
@@ -43,14 +41,23 @@ void check_options(const VbdOptions& o) {
 // Raises an error for options that are not supported together with self-contact.
 void check_self_contact(const VbdOptions& o) {
   if (!o.self_contact) return;
-  const std::pair<const char*, bool> others[] = {{"coarse", o.coarse},
-                                                 {"acceleration", o.acceleration.has_value()},
+  const std::pair<const char*, bool> others[] = {{"acceleration", o.acceleration.has_value()},
                                                  {"tolerance", o.tolerance.has_value()},
                                                  {"safeguard", o.safeguard},
                                                  {"solve=\"converged\"", o.converged}};
   for (const auto& [name, is_given] : others)
     require(!is_given, ErrorKind::NotImplemented, "SolverVBD: ", name,
             ": not supported together with particle_enable_self_contact");
+}
+
+// Returns the options with `coarse` only where it has an effect.
+VbdOptions with_coarse(VbdOptions o, const Model& m) {
+  const std::vector<int32_t> bodies = m.body_flags.to_host();
+  const bool dynamic = std::any_of(bodies.begin(), bodies.end(), [](int32_t flags) {
+    return !has_flag(flags, BodyFlags::KINEMATIC);
+  });
+  o.coarse = o.coarse && !o.acceleration && !o.safeguard && !o.self_contact && !dynamic;
+  return o;
 }
 
 // Returns the options of the iterations. With `converged` all iterations run, because the tolerance
@@ -94,11 +101,11 @@ struct SolverVBD::Work {
 };
 
 SolverVBD::SolverVBD(std::shared_ptr<const Model> model, const VbdOptions& options)
-    : SolverBase(std::move(model)), options_(options) {
+    : SolverBase(std::move(model)), options_(with_coarse(options, *this->model())) {
   check_options(options);
   check_self_contact(options);
   this->model()->update_derived();
-  work_ = std::make_unique<Work>(*this->model(), options);
+  work_ = std::make_unique<Work>(*this->model(), options_);
 }
 
 SolverVBD::~SolverVBD() = default;

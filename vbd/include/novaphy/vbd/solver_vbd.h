@@ -38,16 +38,15 @@ struct VbdOptions {
   // Not supported together with acceleration.
   bool safeguard = false;
   // Adds one step of Galerkin's method after each iteration (coarse_kernels.h). The step removes
-  // errors that are smooth over many particles. Not supported together with acceleration or
-  // safeguard.
+  // errors that are smooth over many particles. No effect with acceleration, safeguard or
+  // self_contact, or in a model with dynamic bodies; options() then returns false.
   bool coarse = false;
   // Continues after the iterations with Newton's method, until the step is at a minimum of its
   // energy (see DifferentiableVbd, implicit gradients). Supported on the CPU, outside of captures.
   bool converged = false;
   float lhs_regularization = 1e-6f;  // see vbd/block_law.h; finite, >= 0
   // Makes surfaces push each other apart and never cross (src/self_contact.h). Supported on the
-  // CPU, outside of captures. Not supported with tolerance, converged, acceleration, safeguard or
-  // coarse.
+  // CPU, outside of captures. Not supported with tolerance, converged, acceleration or safeguard.
   std::optional<VbdSelfContact> self_contact = {};
 };
 

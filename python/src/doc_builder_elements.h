@@ -71,7 +71,7 @@ gets triangles and bending edges.
 pos, rot: the pose of the grid's origin (m, xyzw).
 vel: the velocity of all particles (m/s).
 cell_x, cell_y, cell_z: the size of a cell (m).
-density: kg/m^3. Every particle has the mass of one full cell.
+density: kg/m^3. Each corner of a cell gets an eighth of the mass of the cell.
 fix_left, fix_right: the particles at the smallest, or largest, x get mass 0.
 fix_bottom, fix_top: the same for the smallest, or largest, y.
 

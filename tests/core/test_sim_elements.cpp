@@ -159,10 +159,13 @@ TEST(SoftGrid, FillsItsBlockWithPositiveTetrahedraAndAClosedSurface) {
   const std::vector<Vec3f> q = model->particle_q.to_host();
   EXPECT_NEAR(q[1].x, 1.0f, 1e-6f);
   EXPECT_NEAR(q[1].y, 2.5f, 1e-6f);
+  // A cell has 1 kg, and each of its corners an eighth of this mass.
   const std::vector<float> mass = model->particle_mass.to_host();
   for (size_t n = 0; n < mass.size(); ++n) {
-    const bool fixed = n % 3 == 0 || n / 3 % 4 == 3;
-    EXPECT_EQ(mass[n], fixed ? 0.0f : 1.0f) << n;
+    const size_t x = n % 3, y = n / 3 % 4;
+    const bool fixed = x == 0 || y == 3;
+    const float cells = (x == 2 ? 0.5f : 1.0f) * (y == 0 ? 0.5f : 1.0f) * 0.5f;
+    EXPECT_EQ(mass[n], fixed ? 0.0f : cells) << n;
   }
 }
 

@@ -47,6 +47,7 @@ def soft_body_model(device: str = "cpu") -> novaphy.Model:
     """The block of Newton's diffsim_soft_body."""
     builder = novaphy.ModelBuilder()
     builder.default_particle_radius = 0.0005
+    density = 0.2 / 27 / 0.1**3
     builder.add_soft_grid(
         pos=(-0.1, -0.5, 1.0),
         vel=(0.0, 6.0, -6.0),
@@ -56,7 +57,7 @@ def soft_body_model(device: str = "cpu") -> novaphy.Model:
         cell_x=0.1,
         cell_y=0.1,
         cell_z=0.1,
-        density=0.2 / 27 / 0.1**3,
+        density=density,
         k_mu=0.5 * 1.5e4 / 1.3,
         k_lambda=1.5e4 * 0.3 / (1.3 * 0.4),
         k_damp=0.0,
@@ -64,6 +65,8 @@ def soft_body_model(device: str = "cpu") -> novaphy.Model:
         tri_ka=1e-4,
         tri_kd=1e-4,
     )
+    # In Newton each particle has the mass of a cell.
+    builder.particle_mass = [0.1 * 0.1 * 0.1 * density] * builder.particle_count
     cfg = novaphy.ShapeConfig(ke=1.0e3, kd=1.0, kf=0.0, mu=0.2)
     builder.add_shape_box(
         -1, xform=((0.0, 2.0, 1.0), (0.0, 0.0, 0.0, 1.0)), hx=1.0, hy=0.25, hz=1.0, cfg=cfg

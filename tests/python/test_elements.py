@@ -164,6 +164,19 @@ def test_meshes_come_from_arrays_and_objects():
         assert left.particle_mass.numpy().sum() == pytest.approx(10.0, rel=1e-6)
 
 
+def test_a_grid_has_the_mass_of_its_volume():
+    builder = novaphy.ModelBuilder()
+    builder.add_soft_grid(
+        dim_x=4, dim_y=2, dim_z=1, cell_x=0.5, cell_y=0.25, cell_z=2.0, density=3.0
+    )
+    mass, q = np.array(builder.particle_mass), np.array(builder.particle_q)
+    assert mass.sum() == pytest.approx(3.0 * 2.0 * 0.5 * 2.0, rel=1e-6)
+    assert mass @ q == pytest.approx(mass.sum() * np.array([1.0, 0.25, 1.0]), rel=1e-6)
+    # Each axis of n cells of the size c: the trapezoidal sum of x^2 is L^2/3 + c^2/6.
+    expected = [4.0 / 3 + 0.25 / 6, 0.25 / 3 + 0.0625 / 6, 4.0 / 3 + 4.0 / 6]
+    assert mass @ q**2 == pytest.approx(mass.sum() * np.array(expected), rel=1e-6)
+
+
 def test_operators_and_views_share_the_models_memory():
     model = soft_body_model()
     view = diff.model_tet_material_tensor(model)

@@ -71,6 +71,7 @@ def soft_block(**material):
     builder.add_soft_grid(
         dim_x=3, dim_y=2, dim_z=2, cell_x=0.1, cell_y=0.1, cell_z=0.1, density=1e3, **material
     )
+    builder.particle_mass = [1.0] * builder.particle_count
     return builder.finalize()
 
 
@@ -211,6 +212,7 @@ def test_a_soft_block_that_slides_with_default_materials_has_the_gradient_of_dif
             k_lambda=1e4,
             k_damp=5.0,
         )
+        builder.particle_mass = [300.0 * 0.05**3] * builder.particle_count
         builder.add_ground_plane()
         model = builder.finalize(requires_grad=True)
         solver = solvers.DiffSemiImplicitSolver(

@@ -17,6 +17,7 @@ inline std::shared_ptr<Model> make_soft_body_model(int cells = 2, Device device 
   builder.default_particle_radius = 0.0005f;
   const double cell = 0.1, particles = (cells + 1.0) * (cells + 1.0) * (cells + 1.0);
   const double young = 1.5e4, poisson = 0.3;
+  const double density = 0.2 / particles / (cell * cell * cell);
   builder.add_soft_grid(
       {.placement = {.pos = {static_cast<float>(-0.5 * cell * cells), -0.5f, 1.0f},
                      .vel = {0.0f, 6.0f, -6.0f}},
@@ -26,11 +27,13 @@ inline std::shared_ptr<Model> make_soft_body_model(int cells = 2, Device device 
        .cell_x = cell,
        .cell_y = cell,
        .cell_z = cell,
-       .density = 0.2 / particles / (cell * cell * cell),
+       .density = density,
        .k_mu = static_cast<float>(0.5 * young / (1.0 + poisson)),
        .k_lambda = static_cast<float>(young * poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson))),
        .k_damp = 0.0f,
        .tri = {1e-4f, 1e-4f, 1e-4f, 0.0f, 0.0f}});
+  // In Newton each particle has the mass of a cell.
+  for (float& mass : builder.particle_mass) mass = static_cast<float>(cell * cell * cell * density);
   const ShapeConfig cfg = {.ke = 1e3f, .kd = 1.0f, .kf = 0.0f, .mu = 0.2f};
   builder.add_shape_box(-1, {.xform = {{0.0f, 2.0f, 1.0f}, Quatf::identity()},
                              .hx = 1.0f,

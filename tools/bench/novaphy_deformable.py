@@ -34,7 +34,11 @@ class Deformable:
         soft = scene == "soft_body"
         if soft:
             builder.default_particle_radius = 0.0005
-            builder.add_soft_grid(**soft_grid(n))
+            grid = soft_grid(n)
+            builder.add_soft_grid(**grid)
+            # In Newton each particle has the mass of a cell.
+            mass = grid["cell_x"] * grid["cell_y"] * grid["cell_z"] * grid["density"]
+            builder.particle_mass = [mass] * builder.particle_count
             shape = novaphy.ShapeConfig(**MATERIAL)
             wall = ((0.0, 2.0, 1.0), (0.0, 0.0, 0.0, 1.0))
             builder.add_shape_box(-1, xform=wall, hx=1.0, hy=0.25, hz=1.0, cfg=shape)

@@ -126,6 +126,25 @@ void ModelBuilder::add_cloth_grid(const ClothGridArgs& args) {
   transaction.keep();
 }
 
+namespace {
+// Returns the mass of each particle of a grid. Particles of a fixed side have none.
+std::vector<float> masses_of(std::string_view name, const SoftGridArgs& args) {
+  const double cell = args.cell_x * args.cell_y * args.cell_z * args.density;
+  const auto part = [](int32_t at, int32_t cells) { return at == 0 || at == cells ? 0.5 : 1.0; };
+  std::vector<float> masses;
+  for (int32_t z = 0; z <= args.dim_z; ++z)
+    for (int32_t y = 0; y <= args.dim_y; ++y)
+      for (int32_t x = 0; x <= args.dim_x; ++x) {
+        const double cells = part(x, args.dim_x) * part(y, args.dim_y) * part(z, args.dim_z);
+        const bool fixed = (x == 0 && args.fix_left) || (x == args.dim_x && args.fix_right) ||
+                           (y == 0 && args.fix_bottom) || (y == args.dim_y && args.fix_top);
+        masses.push_back(fixed ? 0.0f : static_cast<float>(cells * cell));
+        detail::check_mass({name, "density"}, masses.back());
+      }
+  return masses;
+}
+}  // namespace
+
 void ModelBuilder::add_soft_grid(const SoftGridArgs& args) {
   constexpr std::string_view name = "add_soft_grid";
   check_dimension(name, "dim_x", args.dim_x, 1);
@@ -136,8 +155,6 @@ void ModelBuilder::add_soft_grid(const SoftGridArgs& args) {
   check_cell(name, "cell_z", args.cell_z);
   require(std::isfinite(args.density) && args.density >= 0.0, ErrorKind::Value, name,
           ": density: expected a finite number >= 0, got ", args.density);
-  const auto mass = static_cast<float>(args.cell_x * args.cell_y * args.cell_z * args.density);
-  detail::check_mass({name, "density"}, mass);
   const TetMaterials material = {one_of(args.k_mu), one_of(args.k_lambda), one_of(args.k_damp),
                                  one_of(args.youngs_modulus), one_of(args.poisson_ratio)};
   detail::check_tet_materials(name, material, 1);
@@ -145,15 +162,11 @@ void ModelBuilder::add_soft_grid(const SoftGridArgs& args) {
   check_particles(name, int64_t{nx} * ny * nz);
 
   std::vector<Vec3f> vertices;
-  std::vector<float> masses;
   for (int32_t z = 0; z < nz; ++z)
     for (int32_t y = 0; y < ny; ++y)
-      for (int32_t x = 0; x < nx; ++x) {
+      for (int32_t x = 0; x < nx; ++x)
         vertices.push_back(rounded(x * args.cell_x, y * args.cell_y, z * args.cell_z));
-        const bool fixed = (x == 0 && args.fix_left) || (x == args.dim_x && args.fix_right) ||
-                           (y == 0 && args.fix_bottom) || (y == args.dim_y && args.fix_top);
-        masses.push_back(fixed ? 0.0f : mass);
-      }
+  const std::vector<float> masses = masses_of(name, args);
   Transaction transaction(*this);
   const int32_t first = append_vertices(name, args.placement, 1.0, vertices, args.particle_radius);
   for (size_t n = 0; n < masses.size(); ++n)

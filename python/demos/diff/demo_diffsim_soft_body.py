@@ -51,7 +51,7 @@ def build_model(device: str) -> novaphy.Model:
         cell_x=CELL_SIZE,
         cell_y=CELL_SIZE,
         cell_z=CELL_SIZE,
-        density=TOTAL_MASS / (CELLS + 1) ** 3 / CELL_SIZE**3,
+        density=TOTAL_MASS / (CELLS * CELL_SIZE) ** 3,
         k_mu=0.5 * YOUNG / (1.0 + POISSON),
         k_lambda=YOUNG * POISSON / ((1.0 + POISSON) * (1.0 - 2.0 * POISSON)),
         k_damp=0.0,
@@ -59,6 +59,8 @@ def build_model(device: str) -> novaphy.Model:
         tri_ka=1.0e-4,
         tri_kd=1.0e-4,
     )
+    # All particles have the same mass, as in Newton's example.
+    builder.particle_mass = [TOTAL_MASS / builder.particle_count] * builder.particle_count
     cfg = novaphy.ShapeConfig(ke=1.0e3, kd=1.0, kf=0.0, mu=0.2)
     builder.add_shape_box(
         -1, xform=((0.0, 2.0, 1.0), (0.0, 0.0, 0.0, 1.0)), hx=1.0, hy=0.25, hz=1.0, cfg=cfg

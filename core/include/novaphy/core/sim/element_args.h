@@ -98,7 +98,7 @@ struct SoftGridArgs {
   Placement placement = {};
   int32_t dim_x = 1, dim_y = 1, dim_z = 1;          // cells, >= 1
   double cell_x = 0.1, cell_y = 0.1, cell_z = 0.1;  // m
-  // kg/m^3. Every particle, inside or on the surface, has the mass of one cell, as in Newton.
+  // kg/m^3. Each corner of a cell gets an eighth of the mass of the cell.
   double density = 1.0;
   std::optional<float> k_mu = {}, k_lambda = {}, k_damp = {};  // see TetMaterials
   std::optional<float> youngs_modulus = {}, poisson_ratio = {};

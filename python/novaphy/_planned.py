@@ -215,7 +215,7 @@ NOT_BUILT_IN: dict[str, dict[str, str]] = {
 NOT_BUILT: dict[str, str] = {
     "tendons": "tendon_* add_tendon Tendon*",
     "muscles": "muscle_* add_muscle",
-    "rods": "Rod add_rod add_joint_rod joint_twist_* curve_*",
+    "rods as objects, and limits of twist": "Rod joint_twist_* curve_*",
     "springs of joints towards a rest angle (a drive with joint_target_ke does that)": (
         "joint_stiffness joint_rest_q stiffness rest_q"
     ),

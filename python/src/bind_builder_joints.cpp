@@ -346,6 +346,7 @@ void bind_builder_joints(Builder& c) {
   bind_planar_joint(c);
   bind_articulations(c);
   bind_builder_actuators(c);
+  bind_builder_rods(c);
 }
 
 }  // namespace novaphy::python

@@ -37,6 +37,7 @@ void bind_builder_elements(py::class_<ModelBuilder>& builder);
 void bind_joint_dof_config(py::module_& m);
 void bind_builder_joints(py::class_<ModelBuilder>& builder);
 void bind_builder_actuators(py::class_<ModelBuilder>& builder);
+void bind_builder_rods(py::class_<ModelBuilder>& builder);
 void bind_collision(py::module_& m);
 void bind_dynamics(py::module_& m, py::module_& solvers);
 void bind_featherstone(py::module_& m, py::module_& solvers);

@@ -10,6 +10,9 @@ sheet: a box meets a free sheet of 0.34 kg, without gravity. Prints the lost mom
     the transferred momentum. Only SolverVBD.
 hammock: a ball of 5 kg falls into a sheet with two fixed borders. Prints the contact force relative
     to the ball's weight, and the ball's speed, after 2 s. Only SolverVBD.
+cable: a level cable of 0.5 m in 20 or 200 links, fixed at one end, sinks to rest. Prints the error
+    of its tip relative to the sag of its own equilibrium in float64, and the largest gap. Only
+    SolverVBD.
 
 Each scene and solver prints a JSON line with the median time of a step (us), without the search for
 contacts.
@@ -207,6 +210,58 @@ def hammock(guess: str) -> dict[str, Any]:
     return {"guess": guess, "force_over_weight": force / (5.0 * G), "speed": speed, "us": us}
 
 
+def slopes_at_rest(links: int, length: float, bend: float, weight: float) -> np.ndarray:
+    """Return the slopes (rad) of a level rod of a weight (N) whose first link is fixed.
+
+    The links are rigid. The energy is the sum of (bend links/length)/2 (difference of slopes)^2 and
+    the potential of the weight; bend: E I (N m^2). Newton's method finds its minimum.
+    """
+    k = bend * links / length
+    below = weight / links * length / links * (links - np.arange(links) - 0.5)
+    stiffness = k * (2 * np.eye(links) - np.eye(links, k=1) - np.eye(links, k=-1))
+    stiffness[-1, -1] = k
+    slopes = np.zeros(links)
+    for _ in range(100):
+        force = (stiffness @ slopes + below * np.cos(slopes))[1:]
+        hessian = (stiffness - np.diag(below * np.sin(slopes)))[1:, 1:]
+        change = np.linalg.solve(hessian, force)
+        slopes[1:] -= change * min(1.0, 0.2 / max(float(np.abs(change).max()), 1e-12))
+    return slopes
+
+
+def cable_model(links: int, bend: float) -> novaphy.Model:
+    """Return a level cable of 0.5 m with a radius of 5 mm, fixed at its start."""
+    builder = novaphy.ModelBuilder()
+    points = [(0.5 * k / links, 0.0, 0.0) for k in range(links + 1)]
+    bodies, _ = builder.add_rod(
+        points, radius=0.005, cfg=novaphy.ShapeConfig(density=DENSITY), bend_stiffness=bend,
+        bend_damping=0.15 * bend,
+    )  # fmt: skip
+    builder.add_joint_fixed(-1, bodies[0], parent_xform=builder.body_q[bodies[0]])
+    return builder.finalize()
+
+
+def cable(links: int, bend: float, steps: int) -> dict[str, Any]:
+    """Let a cable sink to rest. Return the error of its tip over the sag, and the largest gap."""
+    model = cable_model(links, bend)
+    slopes = slopes_at_rest(links, 0.5, bend, G * float(model.body_mass.numpy().sum()))
+    tip = 0.5 / links * np.array([np.cos(slopes).sum(), np.sin(slopes).sum()])
+    ends, gaps = np.zeros(2), []
+
+    def see(k: int, state: novaphy.State) -> None:
+        q = state.body_q.numpy().astype(float)
+        half = 0.25 / links * rotations(q[:, 3:])[:, :, 2]
+        gaps.append(np.linalg.norm((q[:-1, :3] + half[:-1]) - (q[1:, :3] - half[1:]), axis=1).max())
+        ends[:] = (q[-1, :3] + half[-1])[[0, 2]]
+
+    _, us = run(SolverVBD(model), steps, 1 / 120, see, collides=False)
+    error = float(np.linalg.norm(ends - tip) / abs(tip[1]))
+    return {
+        "links": links, "sag_mm": -1e3 * float(tip[1]), "tip_over_sag": error,
+        "gap_mm": 1e3 * float(max(gaps)), "us": us,
+    }  # fmt: skip
+
+
 def main() -> None:
     """Print a JSON line for each scene and solver."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -227,6 +282,10 @@ def main() -> None:
             records += [("sheet", lambda mass=mass: sheet(mass)) for mass in (0.0034, 0.34, 34.0)]
             records += [
                 ("hammock", lambda guess=guess: hammock(guess)) for guess in ("inertia", "previous")
+            ]
+            records += [
+                ("cable", lambda case=case: cable(*case))
+                for case in ((20, 0.05, 300), (20, 5e-3, 900), (200, 0.05, 300))
             ]
         for scene, record in records:
             print(json.dumps({"scene": scene, "solver": name, **record()}), flush=True)

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "novaphy/core/device_kernel.h"
+#include "novaphy/core/sim/joint_types.h"
 
 namespace novaphy::vbd {
 namespace {
@@ -39,6 +40,11 @@ Bodies::Bodies(const Model& m, const VbdOptions& o) : model_(m), options_(o) {
   body_.resize(bodies);
   motion_.resize(bodies);
   is_kinematic_ = DeviceArray<int32_t>(bodies, m.device());
+  has_rod_.resize(bodies);
+  for (size_t k = 0; k < joint_count_; ++k)
+    for (const int32_t body : {m.joint_parent.data()[k], m.joint_child.data()[k]})
+      if (body >= 0 && m.joint_type.data()[k] == static_cast<int32_t>(JointType::ROD))
+        has_rod_[static_cast<size_t>(body)] = 1;
   memory_ = DeviceArray<Vec4f>(contacts_at(), m.device());
   graph_.build(m.body_count(), {}, {}, 0);
 }
@@ -121,6 +127,9 @@ void Bodies::put_graph() {
     node_.resize(graph_.nodes.size());
   }
   constexpr float kSofter = 0.1f;
+  // For joints of bodies with a ROD joint: the rows of a rod move many bodies together. The inertia
+  // of two bodies is a small part of the inertia that such a row feels.
+  constexpr float kRodMetric = 3.0e4f;
   for (size_t k = 0; k < pairs_.size(); ++k) {
     const float factor = graph_.is_outside(pairs_[k]) ? 2.0f : 1.0f;
     const float metric = graph_.has_cycles(pairs_[k]) ? kSofter : 1.0f;
@@ -135,8 +144,12 @@ void Bodies::put_graph() {
     } else {
       VbdBodyJoint& j = joint_[row];
       j.in_trees = factor;
-      j.rho *= metric;
-      j.rho_turn *= metric;
+      const auto has_rod = [this](int32_t b) { return b >= 0 && has_rod_[size_t(b)] != 0; };
+      const bool is_stiff = metric == 1.0f && (has_rod(j.body[0]) || has_rod(j.body[1]));
+      for (auto* const hard : {&j.points, &j.turns})
+        for (VbdJointRow& r : *hard)
+          r.rho = is_stiff ? std::max(r.rho, std::min(kRodMetric * r.rho, 10.0f * r.stiffness))
+                           : metric * r.rho;
       for (VbdAxisRow& of_axis : j.rows) of_axis.rho *= metric;
     }
   }

@@ -213,6 +213,7 @@ class Bodies {
   size_t particle_rows_ = 0, body_rows_ = 0, joint_count_ = 0, contact_rows_ = 0;
   DeviceArray<Vec4f> memory_;
   DeviceArray<int32_t> is_kinematic_;
+  std::vector<char> has_rod_;  // of each body: whether it has a ROD joint
   std::vector<VbdBody> body_;
   std::vector<VbdBodyMotion> motion_;
   std::vector<VbdBodyContact> contact_;

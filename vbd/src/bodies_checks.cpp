@@ -44,10 +44,16 @@ void check_dofs(const Model& m, const Control* control) {
     refuse("joint_act", k, 0.0f, act[k]);
   }
   for (int32_t j = 0; j < m.joint_count(); ++j) {
-    if (has_axes(static_cast<JointType>(m.joint_type.data()[j]))) continue;
+    const auto type = static_cast<JointType>(m.joint_type.data()[j]);
+    if (has_axes(type)) continue;
     for (int32_t k = m.joint_qd_start.data()[j]; k < m.joint_qd_start.data()[j + 1]; ++k) {
-      refuse("joint_target_ke", k, 0.0f, m.joint_target_ke.data()[k]);
-      refuse("joint_target_kd", k, 0.0f, m.joint_target_kd.data()[k]);
+      if (type == JointType::ROD) {
+        check("joint_target_ke", k, m.joint_target_ke.data()[k]);
+        check("joint_target_kd", k, m.joint_target_kd.data()[k]);
+      } else {
+        refuse("joint_target_ke", k, 0.0f, m.joint_target_ke.data()[k]);
+        refuse("joint_target_kd", k, 0.0f, m.joint_target_kd.data()[k]);
+      }
       refuse("joint_damping", k, 0.0f, m.joint_damping.data()[k]);
       refuse("joint_friction", k, 0.0f, m.joint_friction.data()[k]);
       refuse("joint_armature", k, 0.0f, m.joint_armature.data()[k]);

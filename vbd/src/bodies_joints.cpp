@@ -1,6 +1,7 @@
 // The joints of a step of bodies, and their multipliers, which the next step starts from.
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "bodies_side.h"
 #include "novaphy/core/sim/joint_types.h"
@@ -9,6 +10,7 @@ namespace novaphy::vbd {
 namespace {
 
 constexpr float kTurn = 6.2831853f;
+constexpr float kHard = std::numeric_limits<float>::infinity();
 
 size_t at(int32_t k) { return static_cast<size_t>(k); }
 
@@ -22,6 +24,8 @@ VbdBodyJointKind kind_of(JointType type) {
       return VbdBodyJointKind::Prismatic;
     case JointType::DISTANCE:
       return VbdBodyJointKind::Distance;
+    case JointType::ROD:
+      return VbdBodyJointKind::Rod;
     default:
       return VbdBodyJointKind::Ball;
   }
@@ -34,13 +38,31 @@ void put_metric(const BodySide& a, const BodySide& b, float dt, VbdBodyJoint& to
     w = std::max(w, a.mobility(to.arm[0], e) + b.mobility(to.arm[1], e));
     turning = std::max(turning, a.turning(e) + b.turning(e));
   }
-  to.rho = metric(dt, w);
-  to.rho_turn = metric(dt, turning);
+  for (VbdJointRow& row : to.points) row = {kHard, metric(dt, w)};
+  for (VbdJointRow& row : to.turns) row = {kHard, metric(dt, turning)};
   const Vec3f along = to.kind == VbdBodyJointKind::Distance ? math::normalize(to.gap) : to.axis[0];
   const float axial = to.kind == VbdBodyJointKind::Revolute
                           ? a.turning(along) + b.turning(along)
                           : a.mobility(to.arm[0], along) + b.mobility(to.arm[1], along);
   for (VbdAxisRow& row : to.rows) row.rho = metric(dt, axial);
+}
+
+// Sets the stiffness and damping of a ROD joint. `ke` and `kd` have six values. `frame`: the
+// rotation of the joint frame of A.
+void put_rod(const float* ke, const float* kd, float dt, const Quatf& frame, VbdBodyJoint& to) {
+  to.axis[1] = math::rotate(frame, Vec3f{1.0f, 0.0f, 0.0f});
+  const Vec3f axes[3] = {to.axis[1], math::cross(to.axis[0], to.axis[1]), to.axis[0]};
+  const Vec3f errors[2] = {to.gap, log_rotation(to.turned)};
+  to.keep = to.keep_turn = {};
+  for (int k = 0; k < 6; ++k) {
+    VbdJointRow& row = k < 3 ? to.points[k] : to.turns[k - 3];
+    const float damping = kd[k] / dt;
+    row.stiffness = ke[k] + damping;
+    if (!(damping > 0.0f)) continue;
+    const Vec3f& axis = axes[k % 3];
+    Vec3f& keep = k < 3 ? to.keep : to.keep_turn;
+    keep = keep + axis * (math::dot(axis, errors[k / 3]) * (damping / row.stiffness));
+  }
 }
 
 }  // namespace
@@ -80,6 +102,10 @@ void Bodies::put_joints(const SimState& in, const Control* control) {
       j.lam_turn = math::rotate(a.pose.q, memory[k].lam_turn) * kRecall;
       for (int r = 0; r < kVbdAxisRows; ++r) j.rows[r].lam = memory[k].axis[r] * kRecall;
     }
+    if (type == JointType::ROD) {
+      const auto dof = m.joint_qd_start.data()[k];
+      put_rod(m.joint_target_ke.data() + dof, m.joint_target_kd.data() + dof, dt_, frames[0].q, j);
+    }
     put_axis(k, in, control, j);
     pairs_.push_back({a.moves ? j.body[0] : -1, b.moves ? j.body[1] : -1});
     numbers_.push_back(8 * static_cast<int32_t>(joint_.size()) + 2 * kJointRow);
@@ -116,16 +142,15 @@ std::vector<SpatialVectorf> Bodies::joint_forces() const {
   std::vector<SpatialVectorf> forces(joint_count_);
   for (size_t k = 0; k < joint_.size(); ++k) {
     const VbdBodyJoint& j = joint_[k];
-    const Vec3f axis =
-        joint_errors(j, motion_of(motion_.data(), j.body[0]), motion_of(motion_.data(), j.body[1]))
-            .axis;
+    const JointErrors e =
+        joint_errors(j, motion_of(motion_.data(), j.body[0]), motion_of(motion_.data(), j.body[1]));
     float along = j.force;
     for (const VbdAxisRow& row : j.rows)
       if (row.stiffness != 0.0f) along += row.lam;
     SpatialVectorf& f = forces[at(joints_[k])];
-    f = {-j.lam, -j.lam_turn};
+    f = {-j.lam, -joint_moment(j, e, j.lam_turn)};
     Vec3f& part = j.kind == VbdBodyJointKind::Revolute ? f.angular : f.linear;
-    part = part + axis * along;
+    part = part + e.axis * along;
   }
   return forces;
 }

@@ -94,6 +94,9 @@ class TreeMaker {
     if (type == JointType::DISTANCE)
       fail(ErrorKind::NotImplemented, user_, ": model: ", joint_name(model_, joint),
            ": DISTANCE joints are not supported: SolverSemiImplicit holds the distance by springs");
+    if (type == JointType::ROD)
+      fail(ErrorKind::NotImplemented, user_, ": model: ", joint_name(model_, joint),
+           ": ROD joints are not supported: use SolverVBD");
     const bool kinematic = has_flag(model_.body_flags.data()[child], BodyFlags::KINEMATIC);
     if (kinematic) check_kinematic(child, type, parent_body);
     int32_t parent = parent_body < 0 ? -1 : link_of_body_[static_cast<size_t>(parent_body)];

@@ -40,10 +40,11 @@ struct JointTraits {
 //                    angular velocity, relative to the parent
 //   DISTANCE  (7, 6) as FREE; the origins of the joint frames keep a distance
 //   D6        (n, n) translations along n_l axes, then rotations about n_a transported axes
+//   ROD       (7, 6) as FREE; springs pull the joint frames together (rods.h)
 //   PLANAR    (3, 3) translations x and y along two perpendicular axes, then an angle about their
 //                    normal
-// Coordinates have the axes of the joint frame of the parent. The values equal those of Newton 1.8.
-// Newton has no PLANAR joint, and uses 7 for another type.
+// Coordinates have the axes of the joint frame of the parent. The values equal those of Newton 1.8,
+// which has no PLANAR joint.
 #define NOVAPHY_JOINT_TYPES(X)                                                                  \
   X(PRISMATIC, 0, {.linear_axes = {1, 1}})                                                      \
   X(REVOLUTE, 1, {.angular_axes = {1, 1}})                                                      \
@@ -53,6 +54,7 @@ struct JointTraits {
   X(DISTANCE, 5,                                                                                \
     {.linear = 3, .angular = 3, .quaternion = 3, .constraint = JointConstraint::DISTANCE})      \
   X(D6, 6, {.linear_axes = {0, 3}, .angular_axes = {0, 3}, .is_chain = true})                   \
+  X(ROD, 7, {.linear = 3, .angular = 3, .quaternion = 3, .constraint = JointConstraint::NONE})  \
   X(PLANAR, 8, {.linear_axes = {2, 2}, .angular_axes = {1, 1}, .is_chain = true})
 
 // The values of Model::joint_type.
@@ -74,7 +76,7 @@ constexpr JointTraits joint_traits(JointType type) {
 }
 // Returns the index of a joint's first quaternion coordinate; -1: no quaternion.
 constexpr int32_t quaternion_at(JointType type) { return joint_traits(type).quaternion; }
-// Returns whether the coordinates of a joint are a pose: FREE and DISTANCE joints.
+// Returns whether the coordinates of a joint are a pose: FREE, DISTANCE and ROD joints.
 constexpr bool has_pose(JointType type) { return quaternion_at(type) == 3; }
 // Returns whether a joint has axes, and so drives, limits and actuators.
 constexpr bool has_axes(JointType type) {

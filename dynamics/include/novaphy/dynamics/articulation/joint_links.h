@@ -16,11 +16,11 @@ inline int32_t link_count(const JointRows& j) {
   return joint_traits(j.type).is_chain && j.dofs > 1 ? j.dofs : 1;
 }
 
-// Returns link k of a joint. `parent`: the previous link. A DISTANCE joint moves like a FREE joint.
+// Returns link k of a joint. `parent`: the previous link. DISTANCE and ROD joints move like FREE
+// joints.
 inline Link joint_link(const JointRows& j, int32_t k, int32_t parent) {
   const bool chain = joint_traits(j.type).is_chain, last = k == link_count(j) - 1;
-  const LinkJoint whole =
-      j.type == JointType::DISTANCE ? LinkJoint::Free : static_cast<LinkJoint>(j.type);
+  const LinkJoint whole = has_pose(j.type) ? LinkJoint::Free : static_cast<LinkJoint>(j.type);
   const LinkJoint part = j.dofs == 0    ? LinkJoint::Fixed
                          : k < j.linear ? LinkJoint::Prismatic
                                         : LinkJoint::Revolute;

@@ -5,23 +5,29 @@
 //   rotations   REVOLUTE: a_A x a_B - keep_turn;  FIXED, PRISMATIC: 2 vec(R_B E R_A^-1) - keep_turn
 //   force on B  -(rho C + lam) at the anchor of B; A gets the opposite force at the same point
 //   axis        clamp(k (rest - q) + s lam, lo, hi)
+//   ROD         -(k C_i + s lam_i) along each axis t_i of the joint frame of A, which turns with A:
+//               C = raw - keep, and for rotations C = th - keep_turn with th = log(R_B E R_A^-1).
+//               The moment of the force m along th is J_l(th)^-T m: the gradient of the energy
+//               K_i C_i^2/2 is exact. A damper d in parallel to a spring k_i: K_i = k_i + d/h, and
+//               keep is the part (d/h)/K_i of the error at the start.
 // Symbols:
 //   x, R        center of mass (m) and rotation since the start of the step, of a body
 //   r           levers of the anchors (m), which rotate with their bodies
 //   keep, keep_turn   part kVbdKeptError of the error at the start, which the step does not correct
-//   a_A, a_B    the joint axis as a vector fixed to A and to B
+//   a_A, a_B    the joint axis as a vector fixed to A and to B; ROD: z and x of the frame of A
 //   E           rotation from the joint frame of A to that of B at the start
 //   q           REVOLUTE: angle (rad). PRISMATIC: displacement (m). DISTANCE: distance of the
 //               anchors (m).
 //   rest        the value of q without force; lo, hi: bounds of the force
-//   K, rho      stiffness of a row; penalty stiffness of the iteration
+//   K, rho      stiffness of a row; penalty stiffness of the iteration, for each hard row
 //   s, k        K/(K + rho) and s rho; for K = infinity (no compliance): 1 and rho
 //   lam         multipliers: lam <- lam + rho C; of the axis: s (lam + rho (rest - q)), clamped
 // The angle of a REVOLUTE joint is the angle at the start plus the difference of the bodies'
 // rotation vectors along the axis. This sum is exact to first order in rotations about other axes.
 // DISTANCE has rows along the line between the anchors.
 // Sources: Giles et al. 2025, with the geometric stiffness of its section 3.5.
-// Kinks: q where the force meets lo or hi; anchors of a DISTANCE joint that coincide.
+// Kinks: q where the force meets lo or hi; anchors of a DISTANCE joint that coincide; a ROD joint
+// that is bent by pi.
 #pragma once
 
 #include "novaphy/vbd/bodies/body_law.h"
@@ -31,11 +37,16 @@ namespace novaphy {
 constexpr float kVbdKeptError = 0.95f;
 constexpr int kVbdAxisRows = 4;  // drive, damping, limit, dry friction
 
-enum class VbdBodyJointKind : int32_t { Ball, Fixed, Revolute, Prismatic, Distance };
+enum class VbdBodyJointKind : int32_t { Ball, Fixed, Revolute, Prismatic, Distance, Rod };
 
 // A compliant row along or about the joint axis. The row does not act if stiffness is 0.
 struct VbdAxisRow {
   float stiffness = 0.0f, rest = 0.0f, lower = 0.0f, upper = 0.0f, lam = 0.0f, rho = 0.0f;
+};
+
+// The stiffness of a row (infinity: hard) and its penalty stiffness.
+struct VbdJointRow {
+  float stiffness = 0.0f, rho = 0.0f;
 };
 
 struct alignas(16) VbdBodyJoint {
@@ -46,7 +57,8 @@ struct alignas(16) VbdBodyJoint {
   Vec3f arm[2] = {}, gap{}, keep{}, axis[2] = {}, keep_turn{};
   Quatf turned = Quatf::identity();
   Vec3f lam{}, lam_turn{};
-  float rho = 0.0f, rho_turn = 0.0f, coordinate = 0.0f;
+  VbdJointRow points[3] = {}, turns[3] = {};
+  float coordinate = 0.0f;
   VbdAxisRow rows[kVbdAxisRows] = {};
   float in_trees = 1.0f;  // scales the stiffness in the blocks of trees (bodies_kernels.h)
 };
@@ -67,8 +79,11 @@ inline Vec3f turned_by(const Quatf& q, const Vec3f& v) { return v + rotate_chang
 
 // The constraint errors and the coordinate of a joint, for given motions of its bodies.
 struct JointErrors {
-  Vec3f arm[2], axis, raw, turn;
+  Vec3f arm[2], axis, raw, point, turn;
   float coordinate = 0.0f;
+  Quatf off = Quatf::identity();  // R_B E R_A^-1
+  Vec3f th{};                     // ROD: log(off)
+  Perpendicular along;            // the directions of the rows of points and rotations
 };
 
 inline JointErrors joint_errors(const VbdBodyJoint& j, const VbdBodyMotion& a,
@@ -79,6 +94,8 @@ inline JointErrors joint_errors(const VbdBodyJoint& j, const VbdBodyMotion& a,
   e.arm[1] = j.arm[1] + change[1];
   e.arm[0] = (j.arm[0] + change[0]) + e.raw;  // from the center of A to the anchor of B
   e.axis = turned_by(a.turned, j.axis[0]);
+  const bool is_rod = j.kind == VbdBodyJointKind::Rod;
+  e.point = e.raw - (is_rod ? turned_by(a.turned, j.keep) : j.keep);
   if (j.kind == VbdBodyJointKind::Revolute) {
     e.turn = math::cross(e.axis, turned_by(b.turned, j.axis[1])) - j.keep_turn;
     e.coordinate = j.coordinate + math::dot(j.axis[0], b.turn - a.turn);
@@ -86,12 +103,25 @@ inline JointErrors joint_errors(const VbdBodyJoint& j, const VbdBodyMotion& a,
     e.coordinate = math::length(e.raw);
     e.axis = math::normalize(e.raw);
   } else if (j.kind != VbdBodyJointKind::Ball) {
-    const Quatf off = math::multiply(math::multiply(b.turned, j.turned), math::conjugate(a.turned));
-    const float sign = off.w < 0.0f ? -2.0f : 2.0f;
-    e.turn = Vec3f{off.x, off.y, off.z} * sign - j.keep_turn;
+    e.off = math::multiply(math::multiply(b.turned, j.turned), math::conjugate(a.turned));
+    const float sign = e.off.w < 0.0f ? -2.0f : 2.0f;
+    if (is_rod) e.th = log_rotation(e.off);
+    e.turn = is_rod ? e.th - turned_by(a.turned, j.keep_turn)
+                    : Vec3f{e.off.x, e.off.y, e.off.z} * sign - j.keep_turn;
     e.coordinate = math::dot(e.axis, e.raw);
   }
+  if (is_rod) {
+    const Vec3f x = turned_by(a.turned, j.axis[1]);
+    e.along = {{x, math::cross(e.axis, x), e.axis}};
+  } else {
+    e.along = perpendicular(e.axis);
+  }
   return e;
+}
+
+// Returns the moment on B of the force m along the error of the rotation.
+inline Vec3f joint_moment(const VbdBodyJoint& j, const JointErrors& e, const Vec3f& m) {
+  return j.kind == VbdBodyJointKind::Rod ? inverse_left_jacobian_transposed(e.off, e.th, m) : m;
 }
 
 // Return the number of hard rows: point_rows for points, turn_rows for rotations. The rows act
@@ -100,13 +130,20 @@ inline int point_rows(VbdBodyJointKind kind) {
   return kind == VbdBodyJointKind::Distance ? 0 : kind == VbdBodyJointKind::Prismatic ? 2 : 3;
 }
 inline int turn_rows(VbdBodyJointKind kind) {
-  return kind == VbdBodyJointKind::Revolute                                       ? 2
-         : kind == VbdBodyJointKind::Fixed || kind == VbdBodyJointKind::Prismatic ? 3
-                                                                                  : 0;
+  return kind == VbdBodyJointKind::Revolute                                     ? 2
+         : kind == VbdBodyJointKind::Ball || kind == VbdBodyJointKind::Distance ? 0
+                                                                                : 3;
 }
 
-inline float softness(const VbdAxisRow& row) {
+template <class Row>
+float softness(const Row& row) {
   return row.stiffness - row.stiffness == 0.0f ? row.stiffness / (row.stiffness + row.rho) : 1.0f;
+}
+
+// Returns the force of a row along t for the error C, with the sign of C, and its stiffness k.
+inline float row_force(const VbdJointRow& row, const Vec3f& t, const Vec3f& error,
+                       const Vec3f& lam) {
+  return softness(row) * math::dot(t, error * row.rho + lam);
 }
 
 inline JointForce joint_force(const VbdBodyJoint& j, const VbdBodyMotion& a,
@@ -114,19 +151,18 @@ inline JointForce joint_force(const VbdBodyJoint& j, const VbdBodyMotion& a,
   using namespace math;
   JointForce f;
   const JointErrors e = joint_errors(j, a, b);
-  const Perpendicular p = perpendicular(e.axis);
   for (int side = 0; side < 2; ++side) f.arm[side] = e.arm[side];
-  const Vec3f wanted = (e.raw - j.keep) * j.rho + j.lam;
-  const Vec3f turn = e.turn * j.rho_turn + j.lam_turn;
   for (int k = 0; k < point_rows(j.kind); ++k) {
-    const Vec3f& t = p.t[k];
-    f.force = f.force - t * dot(t, wanted);
-    f.rows[f.count++] = {j.rho, t, {cross(e.arm[0], t), cross(e.arm[1], t)}};
+    const VbdJointRow& row = j.points[k];
+    const Vec3f& t = e.along.t[k];
+    f.force = f.force - t * row_force(row, t, e.point, j.lam);
+    f.rows[f.count++] = {softness(row) * row.rho, t, {cross(e.arm[0], t), cross(e.arm[1], t)}};
   }
   for (int k = 0; k < turn_rows(j.kind); ++k) {
-    const Vec3f& t = p.t[k];
-    f.moment = f.moment - t * dot(t, turn);
-    f.rows[f.count++] = {j.rho_turn, {}, {t, t}};
+    const VbdJointRow& row = j.turns[k];
+    const Vec3f t = joint_moment(j, e, e.along.t[k]);
+    f.moment = f.moment - t * row_force(row, e.along.t[k], e.turn, j.lam_turn);
+    f.rows[f.count++] = {softness(row) * row.rho, {}, {t, t}};
   }
   const bool turns = j.kind == VbdBodyJointKind::Revolute;
   float along = j.force;
@@ -148,11 +184,13 @@ inline JointForce joint_force(const VbdBodyJoint& j, const VbdBodyMotion& a,
 inline void update_joint(VbdBodyJoint& j, const VbdBodyMotion& a, const VbdBodyMotion& b) {
   using namespace math;
   const JointErrors e = joint_errors(j, a, b);
-  Vec3f lam = (e.raw - j.keep) * j.rho + j.lam, turn = e.turn * j.rho_turn + j.lam_turn;
-  if (point_rows(j.kind) == 2) lam = lam - e.axis * dot(e.axis, lam);
-  if (turn_rows(j.kind) == 2) turn = turn - e.axis * dot(e.axis, turn);
-  j.lam = point_rows(j.kind) == 0 ? Vec3f{} : lam;
-  j.lam_turn = turn_rows(j.kind) == 0 ? Vec3f{} : turn;
+  Vec3f lam{}, turn{};
+  for (int k = 0; k < point_rows(j.kind); ++k)
+    lam = lam + e.along.t[k] * row_force(j.points[k], e.along.t[k], e.point, j.lam);
+  for (int k = 0; k < turn_rows(j.kind); ++k)
+    turn = turn + e.along.t[k] * row_force(j.turns[k], e.along.t[k], e.turn, j.lam_turn);
+  j.lam = lam;
+  j.lam_turn = turn;
   for (VbdAxisRow& row : j.rows) {
     if (row.stiffness == 0.0f) continue;
     const float s = softness(row);

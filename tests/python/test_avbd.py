@@ -484,6 +484,32 @@ def test_contact_forces_carry_the_weight() -> None:
     assert force[~ground].sum(axis=0) == pytest.approx((0, 0, 8 * G), abs=0.05)
 
 
+@pytest.mark.parametrize("kd", [0.0, 500.0])
+def test_contact_forces_are_the_change_of_momentum_and_friction(kd: float) -> None:
+    builder = builder_of(gravity=0.0)
+    builder.default_shape_cfg = novaphy.ShapeConfig(ke=1e5, kd=kd, mu=0.5, density=1000.0)
+    builder.add_ground_plane()
+    box = add_box(builder, (0, 0, 0.105))
+    builder.body_qd[box] = (3.0, 0, -1.0, 0, 0, 0)
+    model = builder.finalize()
+    solver, pipeline = SolverVBD(model), novaphy.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+    state, after = model.state(), model.state()
+    pushed = 0
+    for _ in range(12):
+        pipeline.collide(state, contacts)
+        solver.step(state, after, None, contacts, H / 4)
+        change = 8.0 * (after.body_qd.numpy() - state.body_qd.numpy())[0, :3]
+        rows = slice(0, contacts.active_rigid_contact_count)
+        force = contacts.rigid_contact_force.numpy()[rows].sum(axis=0)
+        state, after = after, state
+        assert np.allclose(force * H / 4, change, atol=2e-3)
+        if force[2] > 10.0:
+            pushed += 1
+            assert force[0] == pytest.approx(-0.5 * force[2], rel=1e-2)
+    assert pushed > 2
+
+
 def test_a_cloth_and_bodies_move_in_one_step() -> None:
     builder = builder_of()
     builder.add_ground_plane()

@@ -127,7 +127,10 @@ void Bodies::keep_contacts(const Contacts* contacts) {
                  .lam_t = c.lam_t,
                  .is_used = 1.0f,
                  .normal = c.normal};
-    forces[slot] = c.normal * c.lam_n + c.lam_t;
+    const float depth = contact_depth(c, motion_of(motion_.data(), c.body[0]),
+                                      motion_of(motion_.data(), c.body[1]));
+    const float damping = contact_damping(c, depth) * (depth + c.gap);
+    forces[slot] = c.normal * (c.lam_n + damping) + c.lam_t;
   }
 }
 

@@ -60,6 +60,11 @@ inline Vec3f contact_slip(const VbdBodyContact& c, const VbdBodyMotion& a, const
   return move - c.normal * math::dot(c.normal, move);
 }
 
+// Returns the part k_d of the stiffness that damping adds: its force is k_d (C - C_0).
+inline float contact_damping(const VbdBodyContact& c, float depth) {
+  return depth > 0.0f && depth + c.gap > 0.0f ? c.damping_by_h : 0.0f;
+}
+
 // Returns v, shortened to the length `limit` if v is longer.
 inline Vec3f within(const Vec3f& v, float limit) {
   const float l = math::length(v);
@@ -70,9 +75,8 @@ inline ContactForce contact_force(const VbdBodyContact& c, const VbdBodyMotion& 
                                   const VbdBodyMotion& b, float slip_bound) {
   ContactForce f;
   const float depth = contact_depth(c, a, b), s = c.stiffness / (c.stiffness + c.rho);
-  const float k = s * c.rho, approach = depth + c.gap;
-  const float damping = depth > 0.0f && approach > 0.0f ? c.damping_by_h : 0.0f;
-  f.normal = (k * depth + s * c.lam_n) + damping * approach;
+  const float k = s * c.rho, damping = contact_damping(c, depth);
+  f.normal = (k * depth + s * c.lam_n) + damping * (depth + c.gap);
   if (!(f.normal > 0.0f)) return {};
   f.k_n = k + damping;
   const float cone = c.mu * f.normal;

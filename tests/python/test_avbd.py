@@ -96,6 +96,17 @@ def test_a_box_at_rest_sinks_by_its_weight() -> None:
     assert np.abs(state.body_qd.numpy()).max() < 1e-4
 
 
+@pytest.mark.parametrize("ke", [1e4, 1e5, 1e6])
+def test_a_box_that_starts_in_the_ground_rises_slowly(ke: float) -> None:
+    builder = builder_of(ke)
+    builder.add_ground_plane()
+    add_box(builder, (0, 0, 0.05))
+    heights = []
+    state = run(builder.finalize(), 240, see=lambda k, s: heights.append(s.body_q.numpy()[0, 2]))
+    assert max(heights) < 0.115  # 0.5 m/s reach 13 mm above the ground
+    assert state.body_q.numpy()[0, 2] == pytest.approx(0.1 - 8 * G / (4 * ke), abs=2e-5)
+
+
 @pytest.mark.parametrize("ke", [1e5, 1e7])
 def test_a_stack_of_ten_stands(ke: float) -> None:
     builder = builder_of(ke=ke)

@@ -31,7 +31,7 @@ struct alignas(16) ContactMemory {
   Vec3f lam_t{};
   float is_used = 0.0f;  // 0: this entry holds no contact
   Vec3f normal{};
-  float unused = 0.0f;
+  float ignored = 0.0f;  // m, see VbdBodyContact
 };
 
 // The multipliers of a joint from the previous step, in the axes of the parent body, and the joint
@@ -180,7 +180,7 @@ class Bodies {
   // bodies_contacts.cpp
   void put_contacts(const SimState& in, const Contacts& contacts);
   void put_contact(const SimState& in, const Contacts& contacts, size_t slot);
-  void recall_contact(const Contacts& contacts, size_t slot, VbdBodyContact& to);
+  void recall_contact(const Contacts& contacts, size_t slot, float approach, VbdBodyContact& to);
   void keep_contacts(const Contacts* contacts);
   // bodies_joints.cpp, bodies_axis.cpp, bodies_drives.cpp
   void put_joints(const SimState& in, const Control* control);

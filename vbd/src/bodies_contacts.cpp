@@ -8,6 +8,7 @@
 namespace novaphy::vbd {
 namespace {
 
+constexpr float kRise = 0.5f;             // m/s, speed at which the ignored depth shrinks
 constexpr float kLeastCosine = 0.70711f;  // between normals of a contact in successive steps
 
 size_t at(int32_t k) { return static_cast<size_t>(k); }
@@ -86,14 +87,21 @@ void Bodies::put_contact(const SimState& in, const Contacts& contacts, size_t sl
     w[k] = sides[0].mobility(c.arm[0], p.t[k]) + sides[1].mobility(c.arm[1], p.t[k]);
   c.rho = metric(dt_, w[2]);
   c.rho_t = metric(dt_, std::max(w[0], w[1]));
-  recall_contact(contacts, slot, c);
+  const auto velocity = [&](int k) {
+    const SpatialVectorf qd = c.body[k] < 0 ? SpatialVectorf{} : in.body_qd.data()[c.body[k]];
+    return qd.linear + math::cross(qd.angular, c.arm[k]);
+  };
+  recall_contact(contacts, slot, math::dot(n, velocity(0) - velocity(1)), c);
+  c.gap += c.ignored;
   contact_.push_back(c);
   contact_slots_.push_back(static_cast<int32_t>(slot));
 }
 
 // Starts from the multipliers of the previous step, if the direction of the normal has hardly
-// changed.
-void Bodies::recall_contact(const Contacts& contacts, size_t slot, VbdBodyContact& to) {
+// changed. If both shapes had no contact in that step, ignores the depth that their speed of
+// approach (m/s) does not explain. They would be thrown apart otherwise.
+void Bodies::recall_contact(const Contacts& contacts, size_t slot, float approach,
+                            VbdBodyContact& to) {
   const auto* const memory = memory_at<ContactMemory>(contacts_at());
   const std::tuple key(contacts.rigid_contact_shape0.data()[slot],
                        contacts.rigid_contact_shape1.data()[slot],
@@ -101,8 +109,18 @@ void Bodies::recall_contact(const Contacts& contacts, size_t slot, VbdBodyContac
   const auto found = std::lower_bound(
       recalled_.begin(), recalled_.end(), key,
       [memory](int32_t k, const auto& other) { return key_of(memory[k]) < other; });
-  if (found == recalled_.end() || key_of(memory[*found]) != key) return;
+  if (found == recalled_.end() || key_of(memory[*found]) != key) {
+    const auto is_of_pair = [&](auto at) {
+      return std::pair(memory[*at].shape[0], memory[*at].shape[1]) ==
+             std::pair(std::get<0>(key), std::get<1>(key));
+    };
+    const bool is_known = (found != recalled_.end() && is_of_pair(found)) ||
+                          (found != recalled_.begin() && is_of_pair(found - 1));
+    if (!is_known) to.ignored = std::max(0.0f, -to.gap - (kRise + std::max(0.0f, approach)) * dt_);
+    return;
+  }
   const ContactMemory& before = memory[*found];
+  to.ignored = std::max(0.0f, before.ignored - kRise * dt_);
   if (math::dot(before.normal, to.normal) < kLeastCosine) return;
   to.lam_n = kRecall * before.lam_n;
   const Vec3f along = before.lam_t - to.normal * math::dot(to.normal, before.lam_t);
@@ -126,7 +144,8 @@ void Bodies::keep_contacts(const Contacts* contacts) {
                  .lam_n = c.lam_n,
                  .lam_t = c.lam_t,
                  .is_used = 1.0f,
-                 .normal = c.normal};
+                 .normal = c.normal,
+                 .ignored = c.ignored};
     const float depth = contact_depth(c, motion_of(motion_.data(), c.body[0]),
                                       motion_of(motion_.data(), c.body[1]));
     const float damping = contact_damping(c, depth) * (depth + c.gap);

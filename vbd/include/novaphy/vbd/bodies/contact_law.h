@@ -12,7 +12,10 @@
 //   r        lever of the nearest point of the shape's core, for example the center of a sphere
 //   arm      lever of the point halfway between both surfaces. All forces act at this point, so
 //            that momentum and angular momentum are conserved.
-//   gap      distance of the surfaces at the start (m), less the margins; C_0 = -gap
+//   gap      distance of the surfaces at the start (m), less the margins, plus `ignored`; C_0 =
+//   -gap ignored  part of the depth (m) of two shapes that overlapped at their first step. This
+//   part has
+//            no force, and shrinks from step to step.
 //   K, kd    stiffness (N/m) and damping (N s/m) of the pair, mu its friction coefficient
 //   rho      penalty stiffness of the iteration (N/m), which does not change the solution
 //   lam      multipliers (N): lam_n <- max(0, s (lam_n + rho C)), then lam_t <- F_t
@@ -36,6 +39,7 @@ struct alignas(16) VbdBodyContact {
   float mu = 0.0f, rho = 0.0f, rho_t = 0.0f, lam_n = 0.0f;
   Vec3f lam_t{};
   float in_trees = 1.0f;  // scales the stiffness in the blocks of trees (bodies_kernels.h)
+  float ignored = 0.0f;
 };
 
 namespace vbd {

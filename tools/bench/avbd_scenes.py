@@ -10,6 +10,9 @@ sheet: a box meets a free sheet of 0.34 kg, without gravity. Prints the lost mom
     the transferred momentum. Only SolverVBD.
 hammock: a ball of 5 kg falls into a sheet with two fixed borders. Prints the contact force relative
     to the ball's weight, and the ball's speed, after 2 s. Only SolverVBD.
+tower, stacks, arch, cards: a box of 20 or 1,000 times the mass on two boxes, 100 stacks of ten, an
+    arch of wedges, and two cards that lean against each other stand. Prints the largest distance
+    from the start (mm), and the largest speed of the last second. Only SolverVBD.
 cable: a level cable of 0.5 m in 20 or 200 links, fixed at one end, sinks to rest. Prints the error
     of its tip relative to the sag of its own equilibrium in float64, and the largest gap. Only
     SolverVBD.
@@ -210,6 +213,73 @@ def hammock(guess: str) -> dict[str, Any]:
     return {"guess": guess, "force_over_weight": force / (5.0 * G), "speed": speed, "us": us}
 
 
+def stand(builder: novaphy.ModelBuilder, seconds: float) -> dict[str, float]:
+    """Let bodies stand. Return their largest way from the start and speed of the last second."""
+    model = builder.finalize()
+    speeds = []
+
+    def see(k: int, state: novaphy.State) -> None:
+        if k >= 120 * (seconds - 1):
+            speeds.append(float(np.abs(state.body_qd.numpy()[:, :3]).max()))
+
+    state, us = run(SolverVBD(model), int(120 * seconds), 1 / 120, see)
+    way = np.linalg.norm((state.body_q.numpy() - model.body_q.numpy())[:, :3], axis=1)
+    return {"way_mm": 1e3 * float(way.max()), "speed": max(speeds), "us": us}
+
+
+def tower(ratio: float, ke: float) -> dict[str, float]:
+    """Let a heavy box stand on two boxes. Return its way over the static law."""
+    builder = box_builder(ke)
+    add_box(builder, HALF)
+    add_box(builder, 3 * HALF)
+    top = builder.add_body(xform=((0.0, 0.0, 5 * HALF), IDENTITY))
+    config = novaphy.ShapeConfig(ke=ke, kd=0.0, mu=MU, density=DENSITY * ratio)
+    builder.add_shape_box(top, hx=HALF, hy=HALF, hz=HALF, cfg=config)
+    law = 1e3 * 8 * G / (4 * ke) * (3 + 3 * ratio)
+    stood = stand(builder, 60.0)
+    return {"ratio": ratio, "ke": ke, "way_over_law": stood["way_mm"] / law, **stood}
+
+
+def stacks() -> dict[str, float]:
+    """Let 100 stacks of ten boxes stand for 5 s."""
+    builder = box_builder(1e6)
+    for k in range(1000):
+        place = (0.5 * (k % 10), 0.5 * (k // 10 % 10), HALF * (2 * (k // 100) + 1))
+        body = builder.add_body(xform=(place, IDENTITY))
+        builder.add_shape_box(body, hx=HALF, hy=HALF, hz=HALF)
+    return stand(builder, 5.0)
+
+
+def arch(stones: int, ke: float) -> dict[str, float]:
+    """Let a half ring of wedges without mortar stand for 10 s."""
+    builder = box_builder(ke)
+    builder.default_shape_cfg = novaphy.ShapeConfig(ke=ke, kd=0.0, mu=0.8, density=DENSITY)
+    for k in range(stones):
+        angles = np.pi * np.array([k, k + 1]) / stones
+        corners = np.array(
+            [(r * np.cos(a), y, r * np.sin(a))
+             for r in (0.8, 1.1) for a in angles for y in (-0.15, 0.15)]
+        )  # fmt: skip
+        middle = corners.mean(axis=0)
+        body = builder.add_body(xform=(tuple(middle), IDENTITY))
+        builder.add_shape_convex_hull(body, vertices=(corners - middle).astype(np.float32))
+    return {"stones": stones, "ke": ke, **stand(builder, 10.0)}
+
+
+def cards(ke: float) -> dict[str, float]:
+    """Let two cards of 3 mm and 20 degrees lean against each other for 10 s."""
+    builder = box_builder(ke)
+    builder.default_shape_cfg = novaphy.ShapeConfig(ke=ke, kd=0.0, mu=0.8, density=800.0)
+    angle, height, half = np.radians(20.0), 0.05, 0.0015
+    x = float(height * np.sin(angle) + half * np.cos(angle))
+    z = float(height * np.cos(angle) + half * np.sin(angle))
+    for side in (-1, 1):
+        turn = (0.0, float(-side * np.sin(0.5 * angle)), 0.0, float(np.cos(0.5 * angle)))
+        body = builder.add_body(xform=((side * x, 0.0, z), turn))
+        builder.add_shape_box(body, hx=half, hy=0.04, hz=height)
+    return {"ke": ke, **stand(builder, 10.0)}
+
+
 def slopes_at_rest(links: int, length: float, bend: float, weight: float) -> np.ndarray:
     """Return the slopes (rad) of a level rod of a weight (N) whose first link is fixed.
 
@@ -283,6 +353,15 @@ def main() -> None:
             records += [
                 ("hammock", lambda guess=guess: hammock(guess)) for guess in ("inertia", "previous")
             ]
+            records += [
+                ("tower", lambda ratio=ratio, ke=ke: tower(ratio, ke))
+                for ratio in (20.0, 1000.0)
+                for ke in (1e6, 1e7)
+            ]
+            records += [("arch", lambda n=n, ke=ke: arch(n, ke)) for n in (7, 11)
+                        for ke in (1e5, 1e6)]  # fmt: skip
+            records += [("cards", lambda ke=ke: cards(ke)) for ke in (1e4, 1e5)]
+            records += [("stacks", stacks)]
             records += [
                 ("cable", lambda case=case: cable(*case))
                 for case in ((20, 0.05, 300), (20, 5e-3, 900), (200, 0.05, 300))

@@ -147,6 +147,28 @@ def test_a_closed_rod_and_a_graph_join_at_their_nodes() -> None:
     assert np.abs(state.body_qd.numpy()[:, 3:]).max() < 1e-3  # all fall alike: at rest in shape
 
 
+def test_a_cable_that_falls_over_a_free_box_holds_and_comes_to_rest() -> None:
+    builder, links = novaphy.ModelBuilder(), 20
+    builder.default_shape_cfg = novaphy.ShapeConfig(ke=1e4, kd=1.0, mu=0.5, density=DENSITY)
+    builder.add_ground_plane()
+    points = [(k / links - 0.5, 0.0, 0.3) for k in range(links + 1)]
+    builder.add_rod(points, radius=0.01, bend_stiffness=0.01, bend_damping=1e-3)
+    box = builder.add_body(xform=((0.0, 0.0, 0.1), IDENTITY))
+    builder.add_shape_box(box, hx=0.05, hy=0.2, hz=0.1)
+    model = builder.finalize()
+    gaps = []
+
+    def see(_: int, state: novaphy.State) -> None:
+        q = state.body_q.numpy()[:links].astype(float)
+        half = 0.5 / links * np.array([rotation(row[3:])[:, 2] for row in q])
+        ends = (q[:-1, :3] + half[:-1]) - (q[1:, :3] - half[1:])
+        gaps.append(np.linalg.norm(ends, axis=1).max())
+
+    state = run(model, 300, see=see)
+    assert max(gaps) < 1e-3
+    assert np.abs(state.body_qd.numpy()[:, :3]).max() < 1e-3
+
+
 def test_links_that_overlap_at_rest_do_not_collide() -> None:
     builder = novaphy.ModelBuilder(gravity=0.0)
     points = [(0.01 * k, 0.0, 0.0) for k in range(9)]

@@ -128,7 +128,8 @@ void Bodies::put_graph() {
   }
   constexpr float kSofter = 0.1f;
   // For joints of bodies with a ROD joint: the rows of a rod move many bodies together. The inertia
-  // of two bodies is a small part of the inertia that such a row feels.
+  // of two bodies is a small part of the inertia that such a row feels. Rods in cycles have the
+  // metric of trees.
   constexpr float kRodMetric = 3.0e4f;
   for (size_t k = 0; k < pairs_.size(); ++k) {
     const float factor = graph_.is_outside(pairs_[k]) ? 2.0f : 1.0f;
@@ -145,11 +146,12 @@ void Bodies::put_graph() {
       VbdBodyJoint& j = joint_[row];
       j.in_trees = factor;
       const auto has_rod = [this](int32_t b) { return b >= 0 && has_rod_[size_t(b)] != 0; };
-      const bool is_stiff = metric == 1.0f && (has_rod(j.body[0]) || has_rod(j.body[1]));
+      const bool is_rod = has_rod(j.body[0]) || has_rod(j.body[1]);
+      const float scale = !is_rod ? metric : metric == 1.0f ? kRodMetric : 1.0f;
       for (auto* const hard : {&j.points, &j.turns})
         for (VbdJointRow& r : *hard)
-          r.rho = is_stiff ? std::max(r.rho, std::min(kRodMetric * r.rho, 10.0f * r.stiffness))
-                           : metric * r.rho;
+          r.rho = scale > 1.0f ? std::max(r.rho, std::min(scale * r.rho, 10.0f * r.stiffness))
+                               : scale * r.rho;
       for (VbdAxisRow& of_axis : j.rows) of_axis.rho *= metric;
     }
   }

@@ -65,7 +65,7 @@ TEXT_HEADERS = {
     "export.h",
 }
 # Headers that declare hand-written kernels, both for the host and for devices.
-LAUNCH_HEADERS = {"row_kernel.h", "block_kernel.h", "launch_arguments.h"}
+LAUNCH_HEADERS = {"row_kernel.h", "block_kernel.h", "team.h", "launch_arguments.h"}
 for allowed in [allowed for allowed in ALLOWED.values() if "core" in allowed] + [ALLOWED["core"]]:
     allowed.update(("text", "launch"))
 # Layer -> the only system headers that it may use.

@@ -85,8 +85,7 @@ ContactSteps::ContactSteps(const Model& m, const Articulations& articulations)
   groups_ = find_groups(m, group_of_tree);
   IndexRows lists;
   lists.build(group_of_tree, static_cast<int32_t>(groups_));
-  fits_ = static_cast<size_t>(groups_) == count &&
-          tree_stride_ * static_cast<int64_t>(sizeof(float)) <= kIslandMemory;
+  fuses_ = groups_ == articulations.count() && tree_stride_ <= numbers(kIslandMemory);
   side_of_body_ = DeviceArray<int32_t>::from_host(sides, device, 2);
   moved_by_ = DeviceArray<int32_t>::from_host(moved_by, device);
   group_of_tree_ = DeviceArray<int32_t>::from_host(group_of_tree, device);
@@ -160,6 +159,13 @@ void ContactSteps::reserve(int64_t contacts) {
   memory_ = DeviceArray<float>(count * static_cast<size_t>(contact_stride_), device);
   kept_begin_ = DeviceArray<int32_t>(static_cast<size_t>(groups_) + 1, device);
   capacity_ = contacts;
+}
+
+void ContactSteps::reserve_trees(int64_t stride) {
+  const auto floats = static_cast<size_t>(articulations_.count() * stride);
+  if (floats <= trees_memory_.size()) return;
+  const UntrackedScope untracked;
+  trees_memory_ = DeviceArray<float>(floats, model_.device());
 }
 
 bool ContactSteps::has_friction() {
@@ -311,14 +317,9 @@ void ContactSteps::step(const ArticulationStepArguments& of, const ContactArgume
   const ContactKernels& k = contact_kernels();
   if (sleeping != nullptr) hold_some(*sleeping);
   list_contacts(contacts, record, lanes != nullptr, sleeping);
-  const bool fuses = fits_ && lanes == nullptr;
+  const bool fuses = fuses_ && lanes == nullptr;
   const int64_t trees = articulations_.count();
-  const int64_t stride = fuses ? kIslandMemory / static_cast<int64_t>(sizeof(float)) : tree_stride_;
-  const auto numbers = static_cast<size_t>(trees * stride);
-  if (trees_memory_.size() < numbers) {
-    const UntrackedScope untracked;
-    trees_memory_ = DeviceArray<float>(numbers, model_.device());
-  }
+  reserve_trees(fuses ? numbers(kIslandMemory) : tree_stride_);
   ArticulationContactStepArguments a =
       step_arguments(of, contacts, o, record, record.continues && !forgets, lanes != nullptr);
   a.step.workspace = trees_memory_;

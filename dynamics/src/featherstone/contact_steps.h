@@ -158,6 +158,7 @@ class ContactSteps {
 
  private:
   void reserve(int64_t contacts);
+  void reserve_trees(int64_t stride);
   bool reserve_notes();  // returns whether the contacts of the step before were lost
   void reserve_adjoint(bool dry, bool materials);
   // `record`: which results to clear.
@@ -193,7 +194,7 @@ class ContactSteps {
   int64_t groups_ = 0, tree_stride_, adjoint_tree_stride_, contact_stride_;
   DeviceArray<int32_t> side_of_body_, moved_by_, group_of_tree_, tree_begin_, trees_;
   ArrayStamp friction_stamp_;
-  bool has_friction_ = false, fits_;
+  bool has_friction_ = false, fuses_;
   bool has_run_ = false;                                  // whether the last step had rows
   std::optional<ArticulationContactStepArguments> last_;  // in host memory, on the CPU
   std::vector<int32_t> taken_;                            // the trees that TreeSteps takes

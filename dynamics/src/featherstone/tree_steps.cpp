@@ -205,8 +205,7 @@ void TreeSteps::renew(const Model& m) {
   mode_stamp_.set(m.joint_target_mode);
 }
 
-// Returns the largest number of trees in a batch. Fewer trees than threads times lanes make smaller
-// batches, so that each thread has trees.
+// Returns the largest number of trees in a batch. Few trees make batches for all threads.
 int32_t TreeSteps::most_in_batch(size_t trees, int32_t group) const {
   if (group < 0 || !groups_[static_cast<size_t>(group)].same) return level_.lanes;
   const auto threads = static_cast<size_t>(in_parallel() ? 1 : num_threads());

@@ -163,6 +163,92 @@ struct TreeContactResult {
   T sweeps{}, residual{}, largest{};  // as for IslandResult
 };
 
+// Computes the frame, J, Y, the slip and the target of contact c. `qd`: the tree's rates before the
+// step. `v`: its rates without impulses.
+template <class T>
+void build_tree_contact(const Tree<T>& tree, const Workspace<T>& ws, const ContactLaw<T>& law,
+                        const TreeContact<T>& contact, const TreeContactLink<T>& link, int32_t c,
+                        const T* qd, const T* v, const TreeContactMemory<T>& m) {
+  const int64_t n = tree.dof_count;
+  const T o = T(0.0f);
+  const Vec3<T> none = {o, o, o};
+  TreeContactRow<T>& row = m.rows[c];
+  const Vec3<T> mine =
+      (link.p + math::rotate(link.q, contact.core)) + contact.normal * contact.margin;
+  const Vec3<T> other = contact.world + contact.normal * contact.world_margin;
+  // Points from the tree's side to the world's side; the sign turns this into A to B.
+  const Vec3<T> apart = (none - link.origin) + (other - mine);
+  const T gap = math::dot(apart, contact.normal) * (o - contact.sign);
+  row.frame = contact_frame(contact.normal);
+  T* const jacobian = m.jacobian + 3 * n * c;
+  tree_contact_rows(tree, ws, contact, mine + apart * T(0.5f), row.frame, jacobian,
+                    m.response + 3 * n * c);
+  T before = o;
+  for (int r = 0; r < 3; ++r) m.slip[3 * c + r] = o;
+  for (int32_t k = 0; k < tree.dof_count; ++k) {
+    if (!any(has(contact.moved_by, static_cast<int32_t>(1u << k)))) continue;
+    before = before + jacobian[k] * qd[k];
+    for (int r = 0; r < 3; ++r) m.slip[3 * c + r] = m.slip[3 * c + r] + jacobian[r * n + k] * v[k];
+  }
+  const NormalTarget<T> target = normal_target(law, contact.material, gap, before, m.slip[3 * c]);
+  row.bias = target.bias;
+  row.shift = target.shift;
+  row.cfm = target.cfm;
+  row.friction = contact.material.friction;
+}
+
+// Computes the steps and the first impulses of contact c, after build_tree_contact of all contacts.
+template <class T>
+void start_tree_contact(const Tree<T>& tree, const ContactLaw<T>& law,
+                        const TreeContact<T>* contacts, int32_t count, int32_t c, const T& mass,
+                        const TreeContactMemory<T>& m) {
+  const int64_t n = tree.dof_count, rows = 3 * count;
+  const T o = T(0.0f);
+  TreeContactRow<T>& row = m.rows[c];
+  const Coupling<T> own = coupling(tree, contacts, c, c, m);
+  for (int r = 0; count <= kCoupledContacts && r < 3; ++r)
+    for (int t = 0; t < 3; ++t) m.coupling[(3 * c + t) * rows + (3 * c + r)] = own.a[r][t];
+  row.normal = row.apart = own.a[0][0];
+  row.mass = mass;
+  row.shifted = o;
+  row.tangent[0] = own.a[1][1];
+  row.tangent[1] = own.a[1][2];
+  row.tangent[2] = own.a[2][2];
+  row.reach = largest(m.response + 3 * n * c, n, o);
+  set_steps<T>(law.dt, row);
+  start_from<T>(row, law.cone, contacts[c].start_normal,
+                math::dot(contacts[c].start_tangent, row.frame.axes[1]),
+                math::dot(contacts[c].start_tangent, row.frame.axes[2]));
+}
+
+// Builds all contacts of a tree and the blocks of A, which the threads of a team share.
+template <class T, class Team>
+void build_tree_contacts(const Team& team, const Tree<T>& tree, const Workspace<T>& ws,
+                         const ContactLaw<T>& law, const TreeContact<T>* contacts,
+                         const TreeContactLink<T>* links, int32_t count, const T* qd, const T* v,
+                         const TreeContactMemory<T>& m) {
+  const int64_t rows = 3 * count;
+  for (int32_t c = team.rank; c < count; c += team.size)
+    build_tree_contact(tree, ws, law, contacts[c], links[c], c, qd, v, m);
+  team.wait();
+  const T mass = hanging_mass(tree, ws, -1);
+  int32_t block = 0;
+  for (int32_t c = 0; c < count; ++c) {
+    for (int32_t b = 0; count <= kCoupledContacts && b < c; ++b) {
+      if (block++ % team.size != team.rank) continue;
+      const Coupling<T> of = coupling(tree, contacts, b, c, m);
+      for (int r = 0; r < 3; ++r)
+        for (int t = 0; t < 3; ++t) {
+          m.coupling[(3 * c + t) * rows + (3 * b + r)] = of.a[r][t];
+          m.coupling[(3 * b + r) * rows + (3 * c + t)] = of.a[r][t];
+        }
+    }
+    if (block++ % team.size == team.rank)
+      start_tree_contact(tree, law, contacts, count, c, mass, m);
+  }
+  team.wait();
+}
+
 // Computes the rates v of the tree in place, from the rates without impulses. `contacts` and
 // `links`: {count}. `qd`: the tree's rates before the step. Impulses and shifts remain in the
 // memory. The threads of a team share contacts, blocks of A and entries of sums. Every thread of
@@ -177,67 +263,7 @@ TreeContactResult<T> solve_tree_contacts(const Team& team, const Tree<T>& tree,
   const int64_t n = tree.dof_count, rows = 3 * count;
   const bool coupled = count <= kCoupledContacts;
   const T o = T(0.0f);
-  const Vec3<T> none = {o, o, o};
-  const T mass = hanging_mass(tree, ws, -1);
-  for (int32_t c = team.rank; c < count; c += team.size) {
-    const TreeContact<T>& contact = contacts[c];
-    const TreeContactLink<T>& link = links[c];
-    TreeContactRow<T>& row = m.rows[c];
-    const Vec3<T> mine =
-        (link.p + math::rotate(link.q, contact.core)) + contact.normal * contact.margin;
-    const Vec3<T> other = contact.world + contact.normal * contact.world_margin;
-    // Points from the tree's side to the world's side; the sign turns this into A to B.
-    const Vec3<T> apart = (none - link.origin) + (other - mine);
-    const T gap = math::dot(apart, contact.normal) * (o - contact.sign);
-    row.frame = contact_frame(contact.normal);
-    T* const jacobian = m.jacobian + 3 * n * c;
-    tree_contact_rows(tree, ws, contact, mine + apart * T(0.5f), row.frame, jacobian,
-                      m.response + 3 * n * c);
-    T before = o;
-    for (int r = 0; r < 3; ++r) m.slip[3 * c + r] = o;
-    for (int32_t k = 0; k < tree.dof_count; ++k) {
-      if (!any(has(contact.moved_by, static_cast<int32_t>(1u << k)))) continue;
-      before = before + jacobian[k] * qd[k];
-      for (int r = 0; r < 3; ++r)
-        m.slip[3 * c + r] = m.slip[3 * c + r] + jacobian[r * n + k] * v[k];
-    }
-    const NormalTarget<T> target = normal_target(law, contact.material, gap, before, m.slip[3 * c]);
-    row.bias = target.bias;
-    row.shift = target.shift;
-    row.cfm = target.cfm;
-    row.friction = contact.material.friction;
-  }
-  team.wait();
-  int32_t block = 0;
-  for (int32_t c = 0; c < count; ++c) {
-    for (int32_t b = 0; coupled && b < c; ++b) {
-      if (block++ % team.size != team.rank) continue;
-      const Coupling<T> of = coupling(tree, contacts, b, c, m);
-      for (int r = 0; r < 3; ++r)
-        for (int t = 0; t < 3; ++t) {
-          m.coupling[(3 * c + t) * rows + (3 * b + r)] = of.a[r][t];
-          m.coupling[(3 * b + r) * rows + (3 * c + t)] = of.a[r][t];
-        }
-    }
-    if (block++ % team.size != team.rank) continue;
-    TreeContactRow<T>& row = m.rows[c];
-    const TreeContact<T>& contact = contacts[c];
-    const Coupling<T> own = coupling(tree, contacts, c, c, m);
-    for (int r = 0; coupled && r < 3; ++r)
-      for (int t = 0; t < 3; ++t) m.coupling[(3 * c + t) * rows + (3 * c + r)] = own.a[r][t];
-    row.normal = row.apart = own.a[0][0];
-    row.mass = mass;
-    row.shifted = o;
-    row.tangent[0] = own.a[1][1];
-    row.tangent[1] = own.a[1][2];
-    row.tangent[2] = own.a[2][2];
-    row.reach = largest(m.response + 3 * n * c, n, o);
-    set_steps<T>(law.dt, row);
-    start_from<T>(row, law.cone, contact.start_normal,
-                  math::dot(contact.start_tangent, row.frame.axes[1]),
-                  math::dot(contact.start_tangent, row.frame.axes[2]));
-  }
-  team.wait();
+  build_tree_contacts(team, tree, ws, law, contacts, links, count, qd, v, m);
   const auto push = [&](int64_t row, const T& impulse) {
     const T* const column = coupled ? m.coupling + row * rows : m.response + row * n;
     T* const to = coupled ? m.slip : v;

@@ -1,4 +1,4 @@
-"""A ball on a board that tilts: a board made of a hull or a mesh has the gradients of a box."""
+"""A body on a board that tilts: hulls and meshes have the gradients of boxes."""
 
 from __future__ import annotations
 
@@ -31,17 +31,25 @@ def board(builder: novaphy.ModelBuilder, kind: str, of: novaphy.ShapeConfig) -> 
         builder.add_shape_mesh(link, vertices=CORNERS, indices=TRIANGLES, cfg=of)
 
 
-def gradient(kind: str, steps: int = 200) -> tuple[float, np.ndarray, str]:
-    """The ball's end along x (m), and its gradient by the start."""
+def gradient(
+    kind: str, body: str = "sphere"
+) -> tuple[float, np.ndarray, novaphy.solvers.GradientInfo]:
+    """The end of a body along x (m), and its gradient by the start."""
     from novaphy import diff, nova
 
     builder = novaphy.ModelBuilder(gravity=-9.81)
-    of = novaphy.ShapeConfig(mu=0.8, density=0, gap=0.05)
+    of = novaphy.ShapeConfig(mu=0.8 if body == "sphere" else 0.2, density=0, gap=0.05)
+    steps = 200
     board(builder, kind, of)
     ball = builder.add_body(
         xform=((0.1, 0.03, 0.1199), (0, 0, 0, 1)), mass=0.5, inertia=np.eye(3) * 0.002
     )
-    builder.add_shape_sphere(ball, radius=0.1, cfg=of)
+    if body == "sphere":
+        builder.add_shape_sphere(ball, radius=0.1, cfg=of)
+    elif body == "box":
+        builder.add_shape_box(ball, hx=0.05, hy=0.05, hz=0.1, cfg=of)
+    else:
+        builder.add_shape_convex_hull(ball, vertices=CORNERS / HALF * [0.05, 0.05, 0.1], cfg=of)
     model = builder.finalize(requires_grad=True)
     solver = novaphy.solvers.DiffFeatherstoneSolver(
         model, angular_damping=0.0, contact_gradient="motion"
@@ -54,14 +62,23 @@ def gradient(kind: str, steps: int = 200) -> tuple[float, np.ndarray, str]:
         tape.backward(nova.sum(end))
     start = path[0]
     grads = np.concatenate([start.joint_q.grad.numpy(), start.joint_qd.grad.numpy()])
-    return end.numpy()[0], grads, solver.gradient_info().label
+    return end.numpy()[0], grads, solver.gradient_info()
 
 
 @pytest.mark.parametrize("kind", ["hull", "mesh"])
 def test_a_ball_on_a_tilting_board_of_a_hull_has_the_gradient_of_a_box(kind: str) -> None:
-    x, wanted, label = gradient("box")
-    ours_x, ours, ours_label = gradient(kind)
-    assert label == ours_label == "exact of the code"  # no contact begins
+    x, wanted, info = gradient("box")
+    ours_x, ours, ours_info = gradient(kind)
+    assert info.label == ours_info.label == "exact of the code"  # no contact begins
     assert x > 0.12  # rolls down as the board tilts
     assert abs(ours_x - x) < 1e-4
     np.testing.assert_allclose(ours, wanted, atol=1e-3 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize(("kind", "body"), [("box", "box"), ("hull", "box"), ("hull", "hull")])
+def test_a_box_that_slides_on_its_face_turns_with_the_board(kind: str, body: str) -> None:
+    """The corners of the body lie on the inside of the board's face, which gives the normal."""
+    x, wanted, _ = gradient("box", "hull")
+    ours_x, ours, info = gradient(kind, body)
+    assert info["frozen_contacts"] == 0 and abs(ours_x - x) < 1e-4
+    np.testing.assert_allclose(ours[:2], wanted[:2], rtol=1e-3)

@@ -23,7 +23,8 @@
 // - The search chooses among features that coincide (within 1e-4 of a size or a direction).
 //   Examples are a capsule that lies flat across an edge of a box's face, and a corner of a box on
 //   the outline of another box's face. Further examples are two corners or ends with the normal
-//   perpendicular to an edge or axis of each, and parallel faces of two boxes.
+//   perpendicular to an edge or axis of each, and parallel faces of two boxes where the points lie
+//   on the outlines of both.
 // - A rim lies flat on a plane (within 1e-4) or on a face of a box (a cylinder within 0.9 degrees),
 //   so its deepest point is not unique.
 // - The feature of a hull or a mesh is not known, or the inside of a face meets a side of another
@@ -155,6 +156,14 @@ B lies_within_face(const ContactFeature<B, T>& face, const ContactFeature<B, T>&
               abs(sides - one) < T(0.5f));
 }
 
+// Returns whether the inside of a box's face touches a corner of another box. That face then gives
+// the normal, also if a face of the other box is parallel to it.
+template <class B, class T>
+B holds_corner(const ContactFeature<B, T>& face, const ContactFeature<B, T>& corner) {
+  using namespace math;
+  return both(both(face.is_flat, face.is_along), corner.is_corner);
+}
+
 // Returns whether features of the two shapes coincide, so that the points do not show which feature
 // the search chose.
 template <class B, class T>
@@ -169,7 +178,8 @@ B features_coincide(const ContactFeature<B, T>& a, const ContactFeature<B, T>& b
     return both(both(face.is_along, corner.is_corner), either(face.has_side, face.has_corner));
   };
   const auto ends = both(both(a.is_point, b.is_point), both(a.has_across, b.has_across));
-  const auto faces = both(both(a.is_along, b.is_along), both(a.is_box, b.is_box));
+  const auto faces = both(both(both(a.is_along, b.is_along), both(a.is_box, b.is_box)),
+                          negate(either(holds_corner(a, b), holds_corner(b, a))));
   return either(either(either(ends, faces), either(flat_on(a, b), flat_on(b, a))),
                 either(on_outline(a, b), on_outline(b, a)));
 }
@@ -185,7 +195,8 @@ MovingContact<B, T> moving_contact(const ContactFeature<B, T>& a, const ContactF
   const auto face_leads = [&](const ContactFeature<B, T>& f) {
     return both(known, both(f.is_along, f.is_on_face));
   };
-  const auto along_a = face_leads(a), along_b = both(negate(face_leads(a)), face_leads(b));
+  const auto along_a = both(face_leads(a), negate(holds_corner(b, a)));
+  const auto along_b = both(negate(along_a), face_leads(b));
 
   // Point and line features.
   const auto points = both(a.is_point, b.is_point), to_line = both(a.is_point, b.is_line),

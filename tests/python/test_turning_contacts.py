@@ -41,6 +41,19 @@ TRIANGLES = np.int32(
         [1, 7, 3],
     ]
 )
+# The planes of two faces that share a side pass near the middle of its edges.
+ROUGHNESS = 1e-5 * np.float32(
+    [
+        [-2, 75, -8],
+        [-36, 22, -14],
+        [-15, -40, -8],
+        [66, 81, 32],
+        [-41, 16, -66],
+        [6, 20, -32],
+        [6, 20, -47],
+        [-30, -18, 2],
+    ]
+)
 SHAPES = {
     "sphere": {"radius": 0.1},
     "capsule": {"radius": 0.06, "half_height": 0.15},
@@ -51,8 +64,11 @@ SHAPES = {
     "convex_hull": {"vertices": np.float32(np.concatenate([np.eye(3), -np.eye(3)]) * 0.1)},
     "hull of a box": {"vertices": CORNERS},  # the box above
     "mesh of a box": {"vertices": CORNERS, "indices": TRIANGLES},
+    "rough hull": {"vertices": CORNERS + ROUGHNESS},
+    "long box": {"hx": 0.0783, "hy": 0.1432, "hz": 0.0895},
 }
-METHODS = {"hull of a box": "convex_hull", "mesh of a box": "mesh"}
+METHODS = {"hull of a box": "convex_hull", "mesh of a box": "mesh", "rough hull": "convex_hull"}
+METHODS["long box"] = "box"
 # Pairs whose search is exact to rounding, because a step is compared with differences.
 # tests/dynamics/test_witness_points.cpp has all pairs of features.
 # The shapes of two free bodies with their poses, of which the second is above the first; "ground":
@@ -184,6 +200,12 @@ PAIRS["ball on a hull's corner"] = (
     (0, 0, 0, *turned(1, 1, 0, 0.9)),
     "sphere",
     (0.0, 0.0, 0.26, *UPRIGHT),
+)
+PAIRS["crossing edges of a rough hull"] = (
+    "rough hull",
+    (0, 0, 0, -0.23988, 0.6449, -0.51068, -0.51552),
+    "long box",
+    (0.02116, -0.06086, 0.24096, -0.03827, 0.01868, -0.0054, 0.99908),
 )
 MOTIONS = {
     "sticking": (0.5, (0.02, 0.01, -0.6, 0.1, 0.2, 0.1), 0.0),

@@ -55,11 +55,25 @@ struct FacesAt {
   }
 };
 
+// Returns whether x lies on a face: within `on` of its plane and inside of its outline.
+// `corner(k)`: its `count` corners, counterclockwise about the normal n.
+template <class Corner>
+bool is_on_face(int32_t count, const Corner& corner, const Vec3f& n, const Vec3f& x, float on) {
+  if (math::abs(math::dot(n, x - corner(0))) > on) return false;
+  for (int32_t k = 0; k < count; ++k) {
+    const Vec3f edge = corner((k + 1) % count) - corner(k);
+    const float inside = math::dot(math::cross(n, edge), x - corner(k));
+    if (inside < -on * math::sqrt(math::dot(edge, edge))) return false;
+  }
+  return true;
+}
+
 inline FacesAt hull_faces_at(const HullView& hull, const Vec3f& x, const Vec3f& normal, float on) {
   FacesAt faces;
   for (int32_t i = 0; i < hull.face_count; ++i) {
-    const Vec3f corner = hull.vertices[hull.face_vertices[hull.face_starts[i]]];
-    if (math::abs(math::dot(hull.face_normals[i], x - corner)) <= on)
+    const int32_t first = hull.face_starts[i];
+    const auto corner = [&](int32_t k) { return hull.vertices[hull.face_vertices[first + k]]; };
+    if (is_on_face(hull.face_starts[i + 1] - first, corner, hull.face_normals[i], x, on))
       faces.add(hull.face_normals[i], normal);
   }
   return faces;
@@ -67,15 +81,10 @@ inline FacesAt hull_faces_at(const HullView& hull, const Vec3f& x, const Vec3f& 
 
 inline bool is_on_triangle(const MeshView& mesh, int32_t triangle, const Vec3f& x, float on) {
   const Vec3i& t = mesh.triangles[triangle];
-  const Vec3f corner[3] = {mesh.vertices[t.x], mesh.vertices[t.y], mesh.vertices[t.z]};
+  const Vec3f corners[3] = {mesh.vertices[t.x], mesh.vertices[t.y], mesh.vertices[t.z]};
   const Vec3f n = mesh.normals[triangle];
-  if (math::dot(n, n) < 0.5f || math::abs(math::dot(n, x - corner[0])) > on) return false;
-  for (int32_t k = 0; k < 3; ++k) {
-    const Vec3f edge = corner[(k + 1) % 3] - corner[k];
-    const float inside = math::dot(math::cross(n, edge), x - corner[k]);
-    if (inside < -on * math::sqrt(math::dot(edge, edge))) return false;
-  }
-  return true;
+  return math::dot(n, n) >= 0.5f && is_on_face(
+                                        3, [&](int32_t k) { return corners[k]; }, n, x, on);
 }
 inline FacesAt mesh_faces_at(const MeshView& mesh, const Vec3f& x, const Vec3f& normal, float on) {
   FacesAt faces;

@@ -34,13 +34,34 @@ struct Alone {
 };
 
 // The team of a row.
+#if defined(VENDOR_WARP) && VENDOR_WARP > 1  // in the text for a device with warps
+struct Team {
+  static constexpr int32_t size = static_cast<int32_t>(kTeamThreads);
+  const int32_t rank;
+  const uint32_t members;  // a bit for each thread of the warp
+  explicit Team(int64_t row)
+      : rank(static_cast<int32_t>(row % size)),
+        members(((1u << size) - 1u) << (row % VENDOR_WARP - row % size)) {}
+  // Returns whether the row's thread is part of the team.
+  bool works() const { return true; }
+  void wait() const { vendor_warp_barrier(members); }
+  template <class V>
+  V own(const V& value) const {
+    return value;
+  }
+  template <class V>
+  void put(const V& value, V& to) const {
+    if (rank == 0) to = value;
+  }
+};
+#else
 struct Team : Alone {
   explicit Team(int64_t row) : works_(row % kTeamThreads == 0) {}
-  // Returns whether the row's thread is part of the team.
   bool works() const { return works_; }
 
  private:
   bool works_;
 };
+#endif
 
 }  // namespace novaphy

@@ -5,6 +5,7 @@
 #include <string_view>
 
 #include "builder_checks.h"
+#include "mass_properties.h"
 #include "novaphy/core/error.h"
 #include "novaphy/math/functions.h"
 
@@ -29,6 +30,15 @@ Quatf along(const Vec3f& t) {
   if (t.z < -0.999999f) return {1.0f, 0.0f, 0.0f, 0.0f};
   const float w = math::sqrt(0.5f * (1.0f + t.z)), s = 0.5f / w;
   return {-t.y * s, t.x * s, 0.0f, w};
+}
+
+// Returns the material with its defaults of shear and twist.
+RodMaterial resolved(RodMaterial m) {
+  m.shear_stiffness = m.shear_stiffness.value_or(m.stretch_stiffness);
+  m.shear_damping = m.shear_damping.value_or(m.stretch_damping);
+  m.twist_stiffness = m.twist_stiffness.value_or(m.bend_stiffness);
+  m.twist_damping = m.twist_damping.value_or(m.bend_damping);
+  return m;
 }
 
 void check_material(std::string_view name, const RodMaterial& m) {
@@ -92,38 +102,42 @@ void filter_near(ModelBuilder& builder, const std::vector<RodLink>& links,
 // Adds the body of a link, with the mass of a cylinder.
 int32_t add_link(ModelBuilder& builder, RodLink& link, const RodArgs& args, std::string label) {
   ShapeConfig cfg = args.cfg.value_or(builder.default_shape_cfg);
-  const float r = args.radius, l = link.length, mass = cfg.density * 3.1415927f * r * r * l;
-  const float across = mass * (3.0f * r * r + l * l) / 12.0f;
+  const float r = args.radius, half = 0.5f * link.length;
+  ShapeConfig solid = cfg;
+  solid.is_solid = true;
+  const detail::MassProperties of =
+      detail::shape_mass("add_rod", GeoType::CYLINDER, {r, half, 0.0f}, solid);
   Mat33f inertia{};
-  inertia.m[0][0] = inertia.m[1][1] = across;
-  inertia.m[2][2] = 0.5f * mass * r * r;
+  for (int k = 0; k < 3; ++k) inertia.m[k][k] = static_cast<float>(of.inertia.m[k][k]);
   cfg.density = 0.0f;
-  const int32_t body =
-      builder.add_body({.xform = link.pose, .mass = mass, .inertia = inertia, .label = label});
+  const int32_t body = builder.add_body({.xform = link.pose,
+                                         .mass = static_cast<float>(of.mass),
+                                         .inertia = inertia,
+                                         .label = label});
   link.shape = builder.add_shape_capsule(
-      body, {.radius = r, .half_height = 0.5f * l, .cfg = cfg, .label = label + "_shape"});
+      body, {.radius = r, .half_height = half, .cfg = cfg, .label = label + "_shape"});
   return body;
 }
 
 RodMaterial over_length(const RodMaterial& of, float length) {
   const float s = 1.0f / length;
-  RodMaterial m = {.stretch_stiffness = of.stretch_stiffness * s,
-                   .stretch_damping = of.stretch_damping * s,
-                   .bend_stiffness = of.bend_stiffness * s,
-                   .bend_damping = of.bend_damping * s};
-  m.shear_stiffness = of.shear_stiffness.value_or(of.stretch_stiffness) * s;
-  m.shear_damping = of.shear_damping.value_or(of.stretch_damping) * s;
-  m.twist_stiffness = of.twist_stiffness.value_or(of.bend_stiffness) * s;
-  m.twist_damping = of.twist_damping.value_or(of.bend_damping) * s;
-  return m;
+  const RodMaterial m = resolved(of);
+  return {.stretch_stiffness = m.stretch_stiffness * s,
+          .stretch_damping = m.stretch_damping * s,
+          .bend_stiffness = m.bend_stiffness * s,
+          .bend_damping = m.bend_damping * s,
+          .shear_stiffness = *m.shear_stiffness * s,
+          .shear_damping = *m.shear_damping * s,
+          .twist_stiffness = *m.twist_stiffness * s,
+          .twist_damping = *m.twist_damping * s};
 }
 
 }  // namespace
 
 int32_t add_joint_rod(ModelBuilder& builder, int32_t parent, int32_t child,
                       const RodJointArgs& args) {
-  const RodMaterial& m = args.material;
-  check_material("add_joint_rod", m);
+  check_material("add_joint_rod", args.material);
+  const RodMaterial m = resolved(args.material);
   const int32_t joint = builder.add_joint(JointType::ROD, parent, child,
                                           {.parent_xform = args.parent_xform,
                                            .child_xform = args.child_xform,
@@ -134,11 +148,10 @@ int32_t add_joint_rod(ModelBuilder& builder, int32_t parent, int32_t child,
     const float values[6] = {shear, shear, stretch, bend, bend, twist};
     std::copy_n(values, 6, last - 6);
   };
-  put(builder.joint_target_ke.end(), m.stretch_stiffness,
-      m.shear_stiffness.value_or(m.stretch_stiffness), m.bend_stiffness,
-      m.twist_stiffness.value_or(m.bend_stiffness));
-  put(builder.joint_target_kd.end(), m.stretch_damping, m.shear_damping.value_or(m.stretch_damping),
-      m.bend_damping, m.twist_damping.value_or(m.bend_damping));
+  put(builder.joint_target_ke.end(), m.stretch_stiffness, *m.shear_stiffness, m.bend_stiffness,
+      *m.twist_stiffness);
+  put(builder.joint_target_kd.end(), m.stretch_damping, *m.shear_damping, m.bend_damping,
+      *m.twist_damping);
   return joint;
 }
 

@@ -10,9 +10,9 @@
 //   cylinder, cone   on the rim: the deepest point, which moves along the rim, or one of three
 //                    fixed points; the apex: a point
 //   ellipsoid        the deepest point, which moves over the surface
-//   hull, mesh       a vertex: a point, for contacts with planes, and of a hull with faces of
-//   boxes;
-//                    the caller gives the feature for contacts with other shapes
+//   hull, mesh       a vertex: a point, for contacts with planes. A hull has this point also for
+//                    contacts with faces of boxes. For contacts with other shapes, the caller
+//                    gives the feature.
 //
 // Freestanding: T = float tests which contacts are exact, T = nova::Real is traced.
 #pragma once

@@ -12,10 +12,10 @@
 //   r        lever of the nearest point of the shape's core, for example the center of a sphere
 //   arm      lever of the point halfway between both surfaces. All forces act at this point, so
 //            that momentum and angular momentum are conserved.
-//   gap      distance of the surfaces at the start (m), less the margins, plus `ignored`; C_0 =
-//   -gap ignored  part of the depth (m) of two shapes that overlapped at their first step. This
-//   part has
-//            no force, and shrinks from step to step.
+//   gap      distance of the surfaces at the start (m), less the margins, plus `ignored`;
+//            C_0 = -gap
+//   ignored  part of the depth (m) of two shapes that overlapped at their first step. This part
+//            has no force, and shrinks from step to step.
 //   K, kd    stiffness (N/m) and damping (N s/m) of the pair, mu its friction coefficient
 //   rho      penalty stiffness of the iteration (N/m), which does not change the solution
 //   lam      multipliers (N): lam_n <- max(0, s (lam_n + rho C)), then lam_t <- F_t

@@ -89,7 +89,7 @@ void Bodies::put_contact(const SimState& in, const Contacts& contacts, size_t sl
   c.rho_t = metric(dt_, std::max(w[0], w[1]));
   const auto velocity = [&](int k) {
     const SpatialVectorf qd = c.body[k] < 0 ? SpatialVectorf{} : in.body_qd.data()[c.body[k]];
-    return qd.linear + math::cross(qd.angular, c.arm[k]);
+    return math::motion_at(qd, c.arm[k]).linear;
   };
   recall_contact(contacts, slot, math::dot(n, velocity(0) - velocity(1)), c);
   c.gap += c.ignored;

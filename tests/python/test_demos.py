@@ -121,6 +121,19 @@ def test_the_scenes_of_rigid_bodies_end_as_they_should(scene):
     assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
 
 
+@pytest.mark.skipif(not novaphy.has_vbd(), reason="built with NOVAPHY_BUILD_VBD=OFF")
+@pytest.mark.parametrize("scene", ["bridge", "seesaw", "motor", "dominoes", "ragdoll"])
+def test_the_scenes_of_bodies_in_vbd_end_as_they_should(scene):
+    script = DEMOS.parent / "demo_vbd_bodies.py"
+    done = subprocess.run(
+        [sys.executable, str(script), scene, "--headless", "240"],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
+
+
 @pytest.mark.parametrize(
     ("scene", "frames"),
     [("stack", 600), ("quadruped", 600), ("chain", 600), ("ant", 600), ("ants", 120)],

@@ -41,7 +41,10 @@ WITH_PAGE = {
     "vbd_gripper": [],
 }
 # Scenes of a demo that have separate pictures.
-SCENES = {"articulated_scenes": {"chain": ["--headless", "240"], "ants": ["--headless", "60"]}}
+SCENES = {
+    "articulated_scenes": {"chain": ["--headless", "240"], "ants": ["--headless", "60"]},
+    "vbd_bodies": {"seesaw": ["--headless", "36"], "ragdoll": ["--headless", "48"]},
+}
 WITHOUT_VIEWER = {"distributed"}  # the demo draws its results itself
 WALL = """
 ## robots from files

@@ -27,15 +27,15 @@ LaunchArgument argument(const char* name, const Array& array, bool read, bool wr
 
 // Returns the module of a kernel source on a device. Modules are made once and kept as long as the
 // device.
-novaphy_module* source_module(const DeviceContext& context, DeviceText text, const char* name) {
+novaphy_module* source_module(const DeviceContext& context, DeviceSource source, const char* name) {
   static std::mutex mutex;
-  static auto& all = *new std::map<std::pair<const DeviceContext*, DeviceText>, novaphy_module*>;
+  static auto& all = *new std::map<std::pair<const DeviceContext*, DeviceSource>, novaphy_module*>;
   const std::lock_guard lock(mutex);
-  novaphy_module*& module = all[{&context, text}];
+  novaphy_module*& module = all[{&context, source}];
   if (module != nullptr) return module;
   novaphy_error error = make_error();
-  check(context.api->module_create(context.device, NOVAPHY_CODE_SOURCE, text(), std::strlen(text()),
-                                   &module, &error),
+  check(context.api->module_create(context.device, NOVAPHY_CODE_SOURCE, source(),
+                                   std::strlen(source()), &module, &error),
         error, name);
   return module;
 }
@@ -66,10 +66,10 @@ LaunchArgument number(int64_t value) {
   return made;
 }
 
-DeviceKernel::DeviceKernel(const novaphy_row_function& function, DeviceText text)
+DeviceKernel::DeviceKernel(const novaphy_row_function& function, DeviceSource source)
     : name_(function.name),
       function_(&function),
-      text_(text),
+      source_(source),
       all_(*new std::vector<std::unique_ptr<const Made>>) {}
 DeviceKernel::DeviceKernel(const char* builtin)
     : name_(builtin), all_(*new std::vector<std::unique_ptr<const Made>>) {}
@@ -99,9 +99,9 @@ DeviceKernel::Made DeviceKernel::make(const DeviceContext& context) const {
             context.id.str());
     create(NOVAPHY_CODE_BINARY, function_, sizeof(*function_));
   } else {
-    require(text_ != nullptr && text_() != nullptr, ErrorKind::NotImplemented, name_,
+    require(source_ != nullptr && source_() != nullptr, ErrorKind::NotImplemented, name_,
             ": this build has no code of it for ", context.id.str());
-    module = source_module(context, text_, name_);
+    module = source_module(context, source_, name_);
   }
   novaphy_kernel* kernel = nullptr;
   check(api.kernel_get(module, function_ == nullptr ? "main" : name_, &kernel, &error), error,

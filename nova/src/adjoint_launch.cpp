@@ -29,17 +29,17 @@ bool is_wanted(const CompiledPlan& plan, const AdjointCall& call, const AdjointB
   const int32_t source = output.kind == Kind::Contribution
                              ? plan.plan.row_sums[static_cast<size_t>(output.index)].source
                              : output.index;
-  return output.kind != Kind::LoopGradient && (call.asked.wrt >> source & 1) != 0;
+  return output.kind != Kind::LoopGradient && (call.wanted.wrt >> source & 1) != 0;
 }
 bool is_wanted(const CompiledPlan& plan, const AdjointCall& call, const AdjointStage& stage) {
   return std::ranges::any_of(
       stage.outputs, [&](const AdjointBinding& output) { return is_wanted(plan, call, output); });
 }
 
-uint32_t gate(const AdjointKey& asked, int32_t source) {
-  return (asked.wrt >> source & 1 ? kGateWanted : 0u) |
-         (asked.accumulate >> source & 1 ? kGateAdd : 0u) |
-         (asked.narrowed != source ? kGateColumns : 0u);
+uint32_t gate(const AdjointKey& wanted, int32_t source) {
+  return (wanted.wrt >> source & 1 ? kGateWanted : 0u) |
+         (wanted.accumulate >> source & 1 ? kGateAdd : 0u) |
+         (wanted.narrowed != source ? kGateColumns : 0u);
 }
 
 void run_stage(const KernelImpl& kernel, const AdjointStage& stage, Executable& code, int64_t n,
@@ -48,8 +48,8 @@ void run_stage(const KernelImpl& kernel, const AdjointStage& stage, Executable& 
   auto target = [&](const AdjointBinding& b) -> const std::shared_ptr<Range>& {
     if (b.kind == Kind::Contribution) return scratch.contributions[b.index].range;
     if (b.kind == Kind::LoopGradient) return scratch.loop_gradient.range;
-    return call.asked.wrt >> b.index & 1 ? *call.input_gradients[b.index]
-                                         : scratch.unwanted[b.index].range;
+    return call.wanted.wrt >> b.index & 1 ? *call.input_gradients[b.index]
+                                          : scratch.unwanted[b.index].range;
   };
   Words words(code.argument_count);
   auto source = [&](const std::shared_ptr<Range>& range, int64_t rows) {
@@ -91,12 +91,12 @@ void run_stage(const KernelImpl& kernel, const AdjointStage& stage, Executable& 
   for (const Param& p : call.params) words.word(p.bits);
   if (kernel.has_fixed_loop) words.word(static_cast<uint32_t>(call.extent));
   if (stage.takes_row_count) words.word(static_cast<uint32_t>(call.dim));
-  for (const int32_t s : stage.gates) words.word(gate(call.asked, s));
+  for (const int32_t s : stage.gates) words.word(gate(call.wanted, s));
   reads.add(active_count(call.active));
   // Rows that were not computed contribute zero.
   if (call.active)
     for (const AdjointBinding& b : stage.outputs)
-      if (b.kind == Kind::Contribution || !(call.asked.accumulate >> b.index & 1))
+      if (b.kind == Kind::Contribution || !(call.wanted.accumulate >> b.index & 1))
         submit_fill(target(b), 0.0f);
   submit_launch(context, code.get(context), code.program.name.c_str(), n, words.span(),
                 &code.layout, reads.span(), active_count(call.active));
@@ -110,9 +110,11 @@ void run_stage(const KernelImpl& kernel, const AdjointStage& stage, Executable& 
 void run_row_sums(const CompiledPlan& plan, const AdjointCall& call, const Scratch& scratch,
                   int64_t items) {
   const std::vector<AdjointRowSum>& sums = plan.plan.row_sums;
-  const auto wanted = [&](const AdjointRowSum& r) { return (call.asked.wrt >> r.source & 1) != 0; };
-  uint64_t stored = call.asked.accumulate;  // bits of sources whose gradient already has a value to
-                                            // add to
+  const auto wanted = [&](const AdjointRowSum& r) {
+    return (call.wanted.wrt >> r.source & 1) != 0;
+  };
+  uint64_t stored = call.wanted.accumulate;  // bits of sources whose gradient already has a
+                                             // value to add to
   const auto target = [&](const AdjointRowSum& r) {
     Operand out = *call.inputs[r.source];
     out.range = *call.input_gradients[r.source];
@@ -171,12 +173,12 @@ void make_up(const KernelImpl& kernel, const CompiledPlan& plan, const AdjointCa
     scratch.zeros[o] = memory(call.output_gradient_rows, kernel.outputs[o].width);
     submit_fill(scratch.zeros[o].range, 0.0f);
   }
-  if ((plan.key.wrt & ~call.asked.wrt) == 0) return;
+  if ((plan.key.wrt & ~call.wanted.wrt) == 0) return;
   scratch.unwanted.resize(call.inputs.size());
   for (const auto* stages : {&plan.plan.rows, &plan.plan.items})
     for (const AdjointStage& stage : *stages)
       for (const AdjointBinding& b : stage.outputs)
-        if (b.kind == Kind::SourceGradient && !(call.asked.wrt >> b.index & 1))
+        if (b.kind == Kind::SourceGradient && !(call.wanted.wrt >> b.index & 1))
           scratch.unwanted[b.index] =
               memory(call.inputs[b.index]->rows, call.inputs[b.index]->width);
 }
@@ -217,7 +219,7 @@ void run_adjoint(KernelImpl& kernel, const CompiledPlan& plan, const AdjointCall
   if (with_items) run_stage(kernel, plan.plan.items[0], *plan.items, items, call, scratch, context);
   run_row_sums(plan, call, scratch, items);
 
-  const uint64_t unreached = call.asked.wrt & ~call.asked.accumulate & ~plan.reached;
+  const uint64_t unreached = call.wanted.wrt & ~call.wanted.accumulate & ~plan.reached;
   for (size_t s = 0; s < call.inputs.size(); ++s)
     if (unreached >> s & 1) submit_fill(*call.input_gradients[s], 0.0f);
 }

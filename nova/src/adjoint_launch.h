@@ -8,7 +8,7 @@ namespace nova::detail {
 
 struct AdjointCall {
   int64_t dim = 0;
-  AdjointKey asked = {};  // requested gradients, which may be a part of the plan's
+  AdjointKey wanted = {};  // requested gradients, which may be a part of the plan's
   std::span<const Operand* const> inputs = {};
   // one gradient for each requested source
   std::span<const std::shared_ptr<Range>* const> input_gradients = {};

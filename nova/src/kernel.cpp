@@ -82,34 +82,34 @@ AdjointKey key_of(const AdjointMask& mask) {
   return key;
 }
 
-AdjointKey KernelImpl::declared_key(const AdjointKey& asked) const {
+AdjointKey KernelImpl::declared_key(const AdjointKey& wanted) const {
   const AdjointKey* best = nullptr;
   uint64_t at_their_row = 0;  // bits of sources whose gradients the plan stores or adds itself
   for (size_t s = 0; s < sources.size(); ++s)
     if (sources[s].access == Access::Direct || sources[s].access == Access::CsrRow)
       at_their_row |= uint64_t{1} << s;
   const auto has_all = [&](const AdjointKey& key) {
-    // Gradients that were not requested may be stored or added, and may have any columns.
-    const bool stores_so = ((key.accumulate ^ asked.accumulate) & at_their_row & asked.wrt) == 0;
-    const bool has_columns = key.narrowed < 0 || !(asked.wrt >> key.narrowed & 1) ||
-                             (key.narrowed == asked.narrowed && key.unread == asked.unread);
-    return (asked.wrt & ~key.wrt) == 0 && (asked.seeded & ~key.seeded) == 0 &&
-           key.table == asked.table && (key.gated || (stores_so && has_columns));
+    // Gradients that were not wanted may be stored or added, and may have any columns.
+    const bool stores_so = ((key.accumulate ^ wanted.accumulate) & at_their_row & wanted.wrt) == 0;
+    const bool has_columns = key.narrowed < 0 || !(wanted.wrt >> key.narrowed & 1) ||
+                             (key.narrowed == wanted.narrowed && key.unread == wanted.unread);
+    return (wanted.wrt & ~key.wrt) == 0 && (wanted.seeded & ~key.seeded) == 0 &&
+           key.table == wanted.table && (key.gated || (stores_so && has_columns));
   };
   const auto size = [](const AdjointKey& key) {
     return std::popcount(key.wrt) + std::popcount(key.seeded);
   };
   for (const AdjointKey& key : gradient_keys)
     if (has_all(key) && (!best || size(key) < size(*best))) best = &key;
-  return best ? *best : asked;
+  return best ? *best : wanted;
 }
 
-const CompiledPlan& KernelImpl::declared_adjoint(const AdjointKey& asked) {
-  if (const Declared* last = last_.load(std::memory_order_acquire); last && last->asked == asked)
+const CompiledPlan& KernelImpl::declared_adjoint(const AdjointKey& wanted) {
+  if (const Declared* last = last_.load(std::memory_order_acquire); last && last->wanted == wanted)
     return *last->plan;
-  const CompiledPlan& plan = adjoint(declared_key(asked));
+  const CompiledPlan& plan = adjoint(declared_key(wanted));
   const std::lock_guard lock(mutex_);
-  const auto known = declared_.try_emplace(asked, Declared{asked, &plan}).first;
+  const auto known = declared_.try_emplace(wanted, Declared{wanted, &plan}).first;
   last_.store(&known->second, std::memory_order_release);
   return plan;
 }

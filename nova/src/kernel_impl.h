@@ -86,7 +86,7 @@ struct KernelImpl {
   // Returns the plan of the smallest declared set (with_gradients) that has all requested
   // gradients, if one exists. The caller provides zeros and scratch memory for the other gradients
   // of the plan.
-  const CompiledPlan& declared_adjoint(const AdjointKey& asked);
+  const CompiledPlan& declared_adjoint(const AdjointKey& wanted);
   CompiledTangent& tangent(uint64_t wrt);  // wrt: sources with a tangent, as bits
   // Returns, as bits, the columns of an output's gradient that are not read if the gradients of the
   // sources `wrt` are requested.
@@ -94,12 +94,12 @@ struct KernelImpl {
 
  private:
   AdjointMask mask_of(const AdjointKey& key) const;
-  AdjointKey declared_key(const AdjointKey& asked) const;
+  AdjointKey declared_key(const AdjointKey& wanted) const;
 
   std::mutex mutex_;
   std::map<AdjointKey, std::unique_ptr<CompiledPlan>> plans_;
   struct Declared {
-    AdjointKey asked;
+    AdjointKey wanted;
     const CompiledPlan* plan = nullptr;
   };
   std::map<AdjointKey, Declared> declared_;  // one per requested key

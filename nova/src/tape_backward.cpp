@@ -376,7 +376,7 @@ void Tape::Impl::backward(Node& loss, const Tensor& seed) {
     }
     running = true;
     run_steps(*loss_gradient, seed);
-    if (!current_capture()) tell_not_finite(*loss_gradient, seed, kept);
+    if (!current_capture()) report_not_finite(*loss_gradient, seed, kept);
   } catch (...) {  // A call that fails restores the gradients of leaves.
     size_t k = 0;
     for (Node& n : nodes) {
@@ -454,7 +454,7 @@ void Tape::Impl::run_kernel(const Step& step) {
   for (uint32_t s = 0; s < op.inputs; ++s) inputs[s] = &input(op, s).operand;
   detail::run_adjoint(*op.kernel, *step.plan,
                       {.dim = op.dim,
-                       .asked = step.key,
+                       .wanted = step.key,
                        .inputs = std::span(inputs.data(), op.inputs),
                        .input_gradients = std::span(gradients.data(), op.inputs),
                        .output_gradients = std::span(output_gradients.data(), op.outputs),

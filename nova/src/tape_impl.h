@@ -285,8 +285,8 @@ struct Tape::Impl {
   // Called after a backward pass on the CPU. `earlier` has copies of the leaf gradients to which
   // the pass added.
   static bool is_finite_where_read(const Range& gradient, const Node& n);
-  void tell_not_finite(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed,
-                       const Copies& earlier);
+  void report_not_finite(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed,
+                         const Copies& earlier);
   const std::shared_ptr<Range>* output_gradient(const Step& step, uint32_t o) const {
     return places[step.first_place + o];
   }

@@ -28,8 +28,8 @@ bool Tape::Impl::is_finite_where_read(const Range& gradient, const Node& n) {
   return true;
 }
 
-void Tape::Impl::tell_not_finite(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed,
-                                 const Copies& earlier) {
+void Tape::Impl::report_not_finite(const std::shared_ptr<Range>& loss_gradient, const Tensor& seed,
+                                   const Copies& earlier) {
   if (!loss_gradient->storage().device().is_cpu()) return;
   std::vector<std::shared_ptr<Range>> leaves;
   for (const Node& n : nodes)

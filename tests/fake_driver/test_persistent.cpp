@@ -202,8 +202,8 @@ TEST_F(PersistentTest, WhatThePhaseBeforeDoesNotWriteIsReadEarly) {
   // Phase t adds to the state of phase t - 1 that of phase t - 2.
   for (uint32_t t = 2; t < 6; ++t)
     push_add(t, 0, 0x10000 * (t - 1), 0x10000 * (t - 2) + 0x100, 0x10000 * t);
-  const auto early = [&](const PersistentRoom& room) {
-    const PersistentTable table = persistent_table(ops, room);
+  const auto early = [&](const PersistentCapacity& capacity) {
+    const PersistentTable table = persistent_table(ops, capacity);
     EXPECT_EQ(table.forms.size(), 1u);
     expect_compiles(table);
     const auto& sources = table.forms[0].operations[0].sources;

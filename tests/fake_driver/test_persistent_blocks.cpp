@@ -206,8 +206,9 @@ TEST_F(PersistentBlocks, WhatFitsNoMemoryIsNotComputedAhead) {
   ASSERT_TRUE(made);
   const PersistentTable ahead = planned(back, *made);
   EXPECT_NE(ahead.job_count, 0u);
-  PersistentRoom room{kBlocks * made->threads / 32, 200, kBlocks, 1, &*made, ahead.early_bytes - 1};
-  EXPECT_EQ(persistent_table(back.ops, room).job_count, 0u);
+  PersistentCapacity capacity{kBlocks * made->threads / 32, 200, kBlocks, 1, &*made,
+                              ahead.early_bytes - 1};
+  EXPECT_EQ(persistent_table(back.ops, capacity).job_count, 0u);
 }
 
 }  // namespace

@@ -226,12 +226,12 @@ TEST_P(RandomPersistent, HaveTheBitsOfOneOperationAfterTheOther) {
   Memory device(seed), host(seed);
   Recorder recorder(seed, device, host);
   const auto& ops = recorder.record(16);
-  PersistentRoom room;
+  PersistentCapacity capacity;
   if (shape.form != Form::Grid)
-    room = {shape.blocks * shape.threads / 32 / shape.groups, 40, shape.blocks, shape.groups};
-  PersistentTable table = persistent_table(ops, room);
+    capacity = {shape.blocks * shape.threads / 32 / shape.groups, 40, shape.blocks, shape.groups};
+  PersistentTable table = persistent_table(ops, capacity);
   ASSERT_EQ(table.tasks != 0, shape.form != Form::Grid);
-  ASSERT_TRUE(shape.form == Form::Grid || most_warps(ops) <= room.warps);
+  ASSERT_TRUE(shape.form == Form::Grid || most_warps(ops) <= capacity.warps);
   HostPersistent persistent(table, shape);
   EXPECT_TRUE(persistent.run(seed));
   for (int32_t a = 0; a < kArrays; ++a)

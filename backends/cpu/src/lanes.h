@@ -41,12 +41,12 @@ LANE_FN void prefetch_rows(uint64_t array, int64_t row_bytes, int64_t i, int wri
 LANE_FN char* group_notes(const novaphy_native_launches* all, int64_t i) {
   return all->notes == NULL ? NULL : all->notes + (i - all->first) * all->note_row_bytes;
 }
-LANE_FN char* group_room(const novaphy_native_launches* all, int64_t i) {
-  return all->room == NULL ? NULL : all->room + (i - all->first) * all->room_row_bytes;
+LANE_FN char* group_scratch(const novaphy_native_launches* all, int64_t i) {
+  return all->scratch == NULL ? NULL : all->scratch + (i - all->first) * all->scratch_row_bytes;
 }
-/* Returns the part of a group's room for launch `number`, with `row_bytes` per row, or null. */
-LANE_FN char* launch_room(char* room, uint64_t number, int64_t row_bytes) {
-  return room == NULL ? NULL : room + (int64_t)number * row_bytes * LANES;
+/* Returns the part of a group's scratch for launch `number`, with `row_bytes` per row, or null. */
+LANE_FN char* launch_scratch(char* scratch, uint64_t number, int64_t row_bytes) {
+  return scratch == NULL ? NULL : scratch + (int64_t)number * row_bytes * LANES;
 }
 
 /* Functions of scalars. */
@@ -143,9 +143,9 @@ LANE_FN float uloadf(const char* s, int64_t rows, int32_t row, int32_t width, in
 
 #include "lanes_csr.h"
 
-/* `room` has the rows [i, i + LANES). Copies those from row `done` on to `out`. */
-LANE_FN void copy_tail(char* out, const char* room, int64_t bytes, int64_t i, int64_t done) {
-  memcpy(out + bytes * done, room + bytes * (done - i), (size_t)(bytes * (i + LANES - done)));
+/* `scratch` has the rows [i, i + LANES). Copies those from row `done` on to `out`. */
+LANE_FN void copy_tail(char* out, const char* scratch, int64_t bytes, int64_t i, int64_t done) {
+  memcpy(out + bytes * done, scratch + bytes * (done - i), (size_t)(bytes * (i + LANES - done)));
 }
 
 #endif

@@ -36,14 +36,14 @@ typedef struct novaphy_native_launches {
   int32_t streams;
   /* Null, or memory where the primal keeps rows for its adjoint: the rows that a launch read in a
    * group in which a contact touched or a limit was reached. */
-  char* room;
-  int64_t room_row_bytes;
+  char* scratch;
+  int64_t scratch_row_bytes;
 } novaphy_native_launches;
 
 /* Runs the rows [begin, end) of all launches in whole groups of lanes, and returns the first row
  * that it did not run. It also stops at rows that it does not support. A row of the table has the
  * arrays of the varying sources, the arrays of the outputs (null if nothing has to be written), and
- * the number of the launch in notes and room. The arrays of the launch that follows
+ * the number of the launch in notes and scratch. The arrays of the launch that follows
  * PREFETCH_LAUNCHES later are prefetched, so the table ends with as many extra rows of any arrays.
  */
 #define PREFETCH_LAUNCHES 8

@@ -44,18 +44,18 @@ constexpr size_t kLookForward = 8;
 // outputs until they are read.
 constexpr uint64_t kStreamedBytes = 32 << 20;
 constexpr int32_t kLine = 64;
-// The size of a Room (below). Only the pages that launches use take memory.
+// The size of a Scratch (below). Only the pages that launches use take memory.
 constexpr int64_t kRoomBytes = 4 << 20;
 
 }  // namespace
 
 // Memory of a thread in which a scan passes data to the next scan: notes, followed by rows.
-struct novaphy_scan::Room {
+struct novaphy_scan::Scratch {
   char* bytes = nullptr;
   const novaphy_scan* from = nullptr;
   int64_t begin = 0, end = 0;
 
-  ~Room() { std::free(bytes); }
+  ~Scratch() { std::free(bytes); }
   bool has(const novaphy_scan* scan, int64_t b, int64_t e) const {
     return from == scan && begin == b && end == e;
   }
@@ -72,23 +72,23 @@ struct novaphy_scan::Room {
     }
     const auto count = static_cast<int64_t>(writer.launches_.size());
     const int64_t noted = (rows * count + kLine - 1) / kLine * kLine;
-    const int64_t row_bytes = writer.large_ ? writer.room_row_bytes_ : 0;
+    const int64_t row_bytes = writer.large_ ? writer.scratch_row_bytes_ : 0;
     if (noted + row_bytes * rows > kRoomBytes) return;
     all.notes = bytes;
     all.note_row_bytes = count;
     if (row_bytes == 0) return;
-    all.room = bytes + noted;
-    all.room_row_bytes = row_bytes;
+    all.scratch = bytes + noted;
+    all.scratch_row_bytes = row_bytes;
   }
-  static Room& of_thread() {
-    thread_local Room room;
-    return room;
+  static Scratch& of_thread() {
+    thread_local Scratch scratch;
+    return scratch;
   }
 };
 
 std::unique_ptr<novaphy_scan> novaphy_scan::make(const novaphy::cpu::Executable& executable,
-                                                     std::span<const uint64_t* const> launches,
-                                                     novaphy_scan* first) {
+                                                 std::span<const uint64_t* const> launches,
+                                                 novaphy_scan* first) {
   if (executable.native.scan_rows == nullptr || executable.native.scan_scalar == nullptr)
     return nullptr;
   std::unique_ptr<novaphy_scan> made(new novaphy_scan(executable));
@@ -200,8 +200,8 @@ void novaphy_scan::follow(novaphy_scan& first) {
   if (first.follows_ != nullptr || overwrites(first) || !asks_like(first)) return;
   follows_ = &first;
   first.notes_ = true;
-  first.room_row_bytes_ = nova::ir::room_bytes(first.executable_->program, first.carried()) *
-                          static_cast<int64_t>(first.launches_.size());
+  first.scratch_row_bytes_ = nova::ir::scratch_bytes(first.executable_->program, first.carried()) *
+                             static_cast<int64_t>(first.launches_.size());
 }
 
 // Returns whether an array that a launch of `first` read or wrote as a carried array is written
@@ -216,8 +216,7 @@ bool novaphy_scan::overwrites(const novaphy_scan& first) const {
   const auto written = [](const novaphy_scan& scan, const auto& f) {
     for (const uint64_t* launch : scan.launches_)
       for (size_t o = 0; o < scan.carried().size(); ++o)
-        if (!f(written_by(scan.executable_->program, launch, o, scan.carried()[o])))
-          return false;
+        if (!f(written_by(scan.executable_->program, launch, o, scan.carried()[o]))) return false;
     return true;
   };
   const auto take = [&](const Interval& i) {
@@ -233,25 +232,25 @@ bool novaphy_scan::overwrites(const novaphy_scan& first) const {
 // Returns whether every launch evaluates its conditions with the same values as a launch of
 // `first`. Stores the numbers of the matching launches in the table.
 bool novaphy_scan::asks_like(const novaphy_scan& first) {
-  const Program &asks = executable_->program, &asked = first.executable_->program;
-  const uint64_t primal = executable_->native.scan_rows->primal;
-  if (primal == 0 || primal != nova::ir::hash(asked) || asks.param_count < asked.param_count ||
-      asks.sources.size() < asked.sources.size())
+  const Program &adjoint = executable_->program, &primal = first.executable_->program;
+  const uint64_t hash = executable_->native.scan_rows->primal;
+  if (hash == 0 || hash != nova::ir::hash(primal) || adjoint.param_count < primal.param_count ||
+      adjoint.sources.size() < primal.sources.size())
     return false;
   struct Words {
     uint32_t here, there;
   };
   std::vector<Words> same;  // an adjoint begins with the sources of its primal
-  for (size_t s = 0; s < asked.sources.size(); ++s)
+  for (size_t s = 0; s < primal.sources.size(); ++s)
     for (const uint32_t k : {0u, 1u})
-      same.push_back({asks.source_argument(s) + k, asked.source_argument(s) + k});
-  for (size_t l = 0; l < asks.loops.size(); ++l)
+      same.push_back({adjoint.source_argument(s) + k, primal.source_argument(s) + k});
+  for (size_t l = 0; l < adjoint.loops.size(); ++l)
     for (const uint32_t k : {0u, 1u})
-      same.push_back({asks.loop_argument(l) + k, asked.loop_argument(0) + k});
-  for (size_t k = 0; k < static_cast<size_t>(asked.param_count); ++k)
-    same.push_back({asks.param_argument(k), asked.param_argument(k)});
+      same.push_back({adjoint.loop_argument(l) + k, primal.loop_argument(0) + k});
+  for (size_t k = 0; k < static_cast<size_t>(primal.param_count); ++k)
+    same.push_back({adjoint.param_argument(k), primal.param_argument(k)});
 
-  const uint32_t state = asked.source_argument(static_cast<size_t>(first.carried()[0]));
+  const uint32_t state = primal.source_argument(static_cast<size_t>(first.carried()[0]));
   const auto words =
       std::find_if(same.begin(), same.end(), [&](const Words& w) { return w.there == state; });
   if (words == same.end()) return false;
@@ -275,17 +274,16 @@ novaphy_status novaphy_scan::run(int64_t begin, int64_t end, novaphy_error* erro
   all.table = table_.data();
   all.count = static_cast<int64_t>(launches_.size());
   all.first = begin;
-  Room& room = Room::of_thread();
+  Scratch& scratch = Scratch::of_thread();
   const bool writes = follows_ == nullptr;
-  if (writes ? notes_ : room.has(follows_, begin, end))
-    room.give((writes ? *this : *follows_), end - begin, all);
-  all.streams = large_ && all.room != nullptr && begin * 12 % kLine == 0 ? 1 : 0;
-  if (writes) room.from = nullptr;
+  if (writes ? notes_ : scratch.has(follows_, begin, end))
+    scratch.give((writes ? *this : *follows_), end - begin, all);
+  all.streams = large_ && all.scratch != nullptr && begin * 12 % kLine == 0 ? 1 : 0;
+  if (writes) scratch.from = nullptr;
   ErrorSink sink;
   bool whole = true;  // whether the compiled form ran all rows
   for (int64_t i = begin; i < end;) {
-    const novaphy_native_scan& form =
-        end - i >= code.lanes ? *code.scan_rows : *code.scan_scalar;
+    const novaphy_native_scan& form = end - i >= code.lanes ? *code.scan_rows : *code.scan_scalar;
     const int64_t left = form.run(&all, i, end, &sink);
     if (left == end || left != i) {
       i = left;
@@ -303,6 +301,6 @@ novaphy_status novaphy_scan::run(int64_t begin, int64_t end, novaphy_error* erro
 #endif
   if (sink.index != INT64_MAX) [[unlikely]]
     return out_of_range(*executable_, sink, launches_[0], error);
-  if (writes && whole) room.hold(this, begin, end);
+  if (writes && whole) scratch.hold(this, begin, end);
   return NOVAPHY_OK;
 }

@@ -24,7 +24,7 @@ struct novaphy_scan {
   novaphy_status run(int64_t begin, int64_t end, novaphy_error* error) const;
 
  private:
-  struct Room;
+  struct Scratch;
   explicit novaphy_scan(const novaphy::cpu::Executable& executable) : executable_(&executable) {}
   std::span<const int32_t> carried() const;  // the source to which each output is carried
   std::span<const int32_t> varying() const;
@@ -43,6 +43,6 @@ struct novaphy_scan {
   std::vector<uint64_t> table_;            // the table of launches that the compiled form reads
   bool large_ = false;                     // whether stores of outputs bypass the caches
   bool notes_ = false;                     // whether the scan writes notes for a following scan
-  int64_t room_row_bytes_ = 0;             // bytes of the room per row
+  int64_t scratch_row_bytes_ = 0;          // bytes of the scratch per row
   const novaphy_scan* follows_ = nullptr;  // the scan whose notes this scan reads
 };

@@ -154,10 +154,10 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_persistent
   const uint32_t warps = most_warps(ops);
   for (const unsigned in_cluster : {kMostInLargeCluster, kMostInCluster}) {
     PersistentShape shape = choose(*device, warps, in_cluster);
-    PersistentRoom room{shape.blocks * shape.threads / kWarp / shape.groups,
-                        kKeptBytes / 4 / shape.threads, shape.blocks, shape.groups};
-    const bool one_row = shape.form != Form::Grid && warps <= room.warps;
-    if (!one_row) room = {};
+    PersistentCapacity capacity{shape.blocks * shape.threads / kWarp / shape.groups,
+                                kKeptBytes / 4 / shape.threads, shape.blocks, shape.groups};
+    const bool one_row = shape.form != Form::Grid && warps <= capacity.warps;
+    if (!one_row) capacity = {};
     OwnList made(new novaphy_list);
     made->device = device;
     const auto fits = [&](const PersistentTable& of) {
@@ -168,12 +168,12 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_persistent
     PersistentTable table;
     const auto runs_planned = [&](const BlockPlan& plan) {
       const unsigned threads = std::exchange(shape.threads, plan.threads);
-      PersistentRoom planned{shape.blocks * shape.threads / kWarp,
-                             kKeptWithPlan / 4 / shape.threads,
-                             shape.blocks,
-                             1,
-                             &plan,
-                             early_bytes(device)};
+      PersistentCapacity planned{shape.blocks * shape.threads / kWarp,
+                                 kKeptWithPlan / 4 / shape.threads,
+                                 shape.blocks,
+                                 1,
+                                 &plan,
+                                 early_bytes(device)};
       table = persistent_table(ops, planned);
       if (fits(table) && table.early_bytes != 0) {
         const Use use(device);
@@ -197,10 +197,10 @@ novaphy_status create(novaphy_device* device, std::span<const novaphy_persistent
                      runs_planned(*plan);
       }
     }
-    if (!is_planned) table = persistent_table(ops, room);
+    if (!is_planned) table = persistent_table(ops, capacity);
     if (!fits(table)) {
-      room.kept_words = 0;
-      table = persistent_table(ops, room);
+      capacity.kept_words = 0;
+      table = persistent_table(ops, capacity);
     }
     if (!fits(table)) return refuse("too large");
     made->words = {table.first_words, table.tasks, table.rows,

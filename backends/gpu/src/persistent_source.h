@@ -89,8 +89,8 @@ struct PersistentTable {
   uint64_t first_words = 0, most_words = 0;        // of the first and of the largest record
   uint64_t counters = 0;                           // position of the barrier's word
   uint32_t kept_words = 0;                         // words that each thread keeps between phases
-  uint64_t tasks = 0;  // position of the tasks of warps; 0: none
-  uint64_t rows = 0;   // position of the rows of threads, by layout and block
+  uint64_t tasks = 0;                              // position of the tasks of warps; 0: none
+  uint64_t rows = 0;  // position of the rows of threads, by layout and block
   uint32_t layouts = 0, corners = 0, item_rows = 0;  // see BlockPlan
   uint32_t halo_rows = 0, halo_rounds = 0, halo_turns = 0, maker_warps = 0;
   std::vector<uint64_t> relative;  // words that hold offsets in bytes from the first word
@@ -120,7 +120,7 @@ inline uint64_t crossing_words(const nova::ir::Output& output) {
 }
 
 // The resources of a persistent kernel in which no thread has more than one row of a phase.
-struct PersistentRoom {
+struct PersistentCapacity {
   uint32_t warps = 0;       // warps per phase
   uint32_t kept_words = 0;  // words that a thread may keep
   uint32_t blocks = 0;      // 0: warps have no tasks
@@ -131,7 +131,7 @@ struct PersistentRoom {
   uint64_t early_bytes = 0;  // memory for early results
 };
 PersistentTable persistent_table(std::span<const novaphy_persistent_op> ops,
-                                 const PersistentRoom& room = {});
+                                 const PersistentCapacity& capacity = {});
 // Returns the number of warps of the largest phase, if each thread has one row.
 uint32_t most_warps(std::span<const novaphy_persistent_op> ops);
 

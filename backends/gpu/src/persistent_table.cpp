@@ -43,7 +43,7 @@ class Kept {
  public:
   explicit Kept(uint32_t most) : most_(most) {}
   uint32_t words() const { return words_; }
-  // Returns the position, counted from 1, or 0 if there is no room.
+  // Returns the position, counted from 1, or 0 if there is no capacity.
   uint32_t place(uint32_t words, Warps warps) {
     for (Region& region : regions_) {
       bool free = words <= region.words;
@@ -85,8 +85,8 @@ class Writer {
  public:
   // Bytes per row of early results, by operation and output. Empty: not computed early.
   using EarlyWords = std::vector<std::vector<uint64_t>>;
-  Writer(const PersistentRoom& room, EarlyWords early)
-      : kept_(room.kept_words), room_(room), early_halves_(std::move(early)) {}
+  Writer(const PersistentCapacity& capacity, EarlyWords early)
+      : kept_(capacity.kept_words), capacity_(capacity), early_halves_(std::move(early)) {}
 
   PersistentTable run(std::span<const novaphy_persistent_op> ops) {
     for (const novaphy_persistent_op& o : ops) {
@@ -116,7 +116,7 @@ class Writer {
       out_.tasks = out_.words.size();
       out_.words.insert(out_.words.end(), tasks_.begin(), tasks_.end());
     }
-    if (room_.plan != nullptr) add_plan();
+    if (capacity_.plan != nullptr) add_plan();
     out_.counters = out_.words.size();
     out_.words.push_back(0);
     out_.forms.resize(forms_.size());
@@ -182,8 +182,8 @@ class Writer {
     const BlockPlan::Phase* planned = this->planned();
     if (planned != nullptr) {
       add_idle_tasks();
-    } else if (room_.blocks != 0) {
-      tasks_.resize(tasks_.size() + room_.warps * room_.groups, 0);
+    } else if (capacity_.blocks != 0) {
+      tasks_.resize(tasks_.size() + capacity_.warps * capacity_.groups, 0);
     }
     for (size_t first = 0, last = 0; first < ops.size(); first = last) {
       last = first + 1;
@@ -197,7 +197,7 @@ class Writer {
       chains.push_back(warps << 32 | static_cast<uint64_t>(rows));
       const uint64_t at = (planned ? kHeader : 2 + 2 * number) + body.size();
       const uint64_t end = warps + warps_of(rows, lanes);
-      const uint64_t group = room_.warps * (phase_ % room_.groups);
+      const uint64_t group = capacity_.warps * (phase_ % capacity_.groups);
       const BlockPlan::Chain* mine = planned ? &planned->chains[chain[0].chain] : nullptr;
       const Warps of_chain = mine ? Warps{mine->first_warp, mine->first_warp + mine->warps}
                                   : Warps{group + warps, group + end};
@@ -205,7 +205,7 @@ class Writer {
       chains.push_back(form << 32 | at);
       if (mine != nullptr) {
         add_planned_tasks(form << 48 | at << 32, *planned, *mine);
-      } else if (room_.blocks != 0) {
+      } else if (capacity_.blocks != 0) {
         add_tasks(form << 48 | at << 32, rows, lanes, warps);
       }
       warps = end;
@@ -228,20 +228,20 @@ class Writer {
   // so that few warps use many units. In a large cluster that uses all blocks, neighboring warps
   // share a block: the code of few chains fits into its instruction cache.
   void add_tasks(uint64_t chain, int64_t rows, int64_t lanes, uint64_t warp) {
-    const uint64_t of_block = room_.warps / room_.blocks, group = phase_ % room_.groups;
-    uint64_t* const phase = tasks_.data() + tasks_.size() - room_.warps * room_.groups;
-    const bool together = room_.blocks > kMostInCluster && lanes == kWarp;
+    const uint64_t of_block = capacity_.warps / capacity_.blocks, group = phase_ % capacity_.groups;
+    uint64_t* const phase = tasks_.data() + tasks_.size() - capacity_.warps * capacity_.groups;
+    const bool together = capacity_.blocks > kMostInCluster && lanes == kWarp;
     for (int64_t row = 0; row < rows; row += lanes, ++warp) {
-      const uint64_t block = together ? warp / of_block : warp % room_.blocks;
-      const uint64_t in_group = together ? warp % of_block : warp / room_.blocks;
+      const uint64_t block = together ? warp / of_block : warp % capacity_.blocks;
+      const uint64_t in_group = together ? warp % of_block : warp / capacity_.blocks;
       const auto count = static_cast<uint64_t>(std::min(lanes, rows - row));
-      phase[(block * room_.groups + group) * of_block + in_group] =
+      phase[(block * capacity_.groups + group) * of_block + in_group] =
           chain | count << 24 | static_cast<uint64_t>(row);
     }
   }
 
   const BlockPlan::Phase* planned() const {
-    return room_.plan ? &room_.plan->phases[phase_] : nullptr;
+    return capacity_.plan ? &capacity_.plan->phases[phase_] : nullptr;
   }
   // Returns the bits for all warps of a phase: kSends, and the last turn of the halo modulo four.
   static uint64_t halo_task(const BlockPlan::Phase& phase) {
@@ -249,9 +249,9 @@ class Writer {
   }
   // Adds the tasks of warps without rows.
   void add_idle_tasks() {
-    const uint64_t of_block = room_.warps / room_.blocks;
-    for (uint64_t warp = 0; warp < room_.warps; ++warp) {
-      const bool makes = warp % of_block < room_.plan->maker_warps;
+    const uint64_t of_block = capacity_.warps / capacity_.blocks;
+    for (uint64_t warp = 0; warp < capacity_.warps; ++warp) {
+      const bool makes = warp % of_block < capacity_.plan->maker_warps;
       const BlockPlan::Phase& phase = planned()[planned()->joined && !makes ? 1 : 0];
       const uint64_t hands = makes && phase.makes_items   ? kHandsOver
                              : !makes && phase.sums_items ? kTakesOver
@@ -265,15 +265,15 @@ class Writer {
     for (const BlockPlan::Fill& fill : phase.fills)
       out_.words.insert(out_.words.end(), {fill.from, uint64_t{fill.base} << 32 | fill.rows,
                                            static_cast<uint64_t>(fill.width)});
-    tasks_.resize(tasks_.size() + room_.warps, kFills | halo_task(phase));
+    tasks_.resize(tasks_.size() + capacity_.warps, kFills | halo_task(phase));
   }
   // Adds the tasks of a chain if a plan assigns rows to threads.
   void add_planned_tasks(uint64_t chain, const BlockPlan::Phase& phase,
                          const BlockPlan::Chain& warps) {
-    const BlockPlan& plan = *room_.plan;
-    const uint64_t of_block = room_.warps / room_.blocks;
-    uint64_t* const tasks = tasks_.data() + tasks_.size() - room_.warps;
-    for (uint64_t block = 0; block < room_.blocks; ++block)
+    const BlockPlan& plan = *capacity_.plan;
+    const uint64_t of_block = capacity_.warps / capacity_.blocks;
+    uint64_t* const tasks = tasks_.data() + tasks_.size() - capacity_.warps;
+    for (uint64_t block = 0; block < capacity_.blocks; ++block)
       for (uint64_t warp = warps.first_warp; warp < warps.first_warp + warps.warps; ++warp) {
         const uint64_t at = block * of_block + warp;
         if ((plan.layouts[phase.layout][at * kWarp] & BlockPlan::kOn) == 0) continue;
@@ -284,7 +284,7 @@ class Writer {
   }
   // Adds the rows of threads, and the items of sums, after the records.
   void add_plan() {
-    const BlockPlan& plan = *room_.plan;
+    const BlockPlan& plan = *capacity_.plan;
     out_.layouts = static_cast<uint32_t>(plan.layouts.size());
     out_.corners = plan.corners;
     out_.item_rows = plan.item_rows;
@@ -312,7 +312,7 @@ class Writer {
   // for all cache lines of its lanes.
   int64_t lanes_of(std::span<const novaphy_persistent_op> phase) const {
     int64_t lanes = kWarp;
-    while (lanes > 1 && warps_of(phase, lanes / 2) <= room_.warps) lanes /= 2;
+    while (lanes > 1 && warps_of(phase, lanes / 2) <= capacity_.warps) lanes /= 2;
     return lanes;
   }
 
@@ -336,7 +336,7 @@ class Writer {
     }
     find_tables(chain, form);
     link(chain, form);
-    if (room_.plan != nullptr) plan_items(chain, form, body.data() + start, at);
+    if (capacity_.plan != nullptr) plan_items(chain, form, body.data() + start, at);
     const auto next = static_cast<uint32_t>(forms_.size());
     const uint32_t number = forms_.emplace(form, next).first->second;
     for (uint32_t k = 0; k < chain.size(); ++k) form_of_.push_back({number, k});
@@ -344,8 +344,8 @@ class Writer {
                                       [](const Operation& op) { return op.early_word >= 0; });
     if (is_early) {
       const Slots slots = slots_of(warps);
-      const uint64_t layout =
-          uint64_t{room_.plan->phases[phase_].layout} * room_.warps * kWarp * sizeof(uint32_t);
+      const uint64_t layout = uint64_t{capacity_.plan->phases[phase_].layout} * capacity_.warps *
+                              kWarp * sizeof(uint32_t);
       jobs_.insert(jobs_.end(),
                    {slots.all << 32 | number, at, layout, slots.first << 32 | slots.of_block});
       out_.job_slots = std::max(out_.job_slots, slots.all);
@@ -365,7 +365,7 @@ class Writer {
   };
   Slots slots_of(Warps warps) const {
     const uint64_t of_block = (warps.second - warps.first) * kWarp;
-    return {of_block * room_.blocks, of_block, warps.first * kWarp};
+    return {of_block * capacity_.blocks, of_block, warps.first * kWarp};
   }
   // Sets the memory for the results of an early half.
   void add_early(const novaphy_persistent_op& o, Operation& op, Warps warps, size_t start,
@@ -386,9 +386,9 @@ class Writer {
   // Sets which items of a chain are in the memory of its block.
   void plan_items(std::span<const novaphy_persistent_op> chain, ChainForm& form, uint64_t* words,
                   uint64_t at) {
-    form.sums_items = room_.plan->phases[phase_].sums_items;
+    form.sums_items = capacity_.plan->phases[phase_].sums_items;
     for (size_t k = 0; k < chain.size(); ++k) {
-      const BlockPlan::Operation& planned = room_.plan->operations[number_of(chain[k])];
+      const BlockPlan::Operation& planned = capacity_.plan->operations[number_of(chain[k])];
       Operation& op = form.operations[k];
       // Rows are handed over or sent when the chain is done, so results must not be stored at once.
       if (!planned.outputs.empty() || !planned.sends.empty())
@@ -436,7 +436,7 @@ class Writer {
         const auto [begin, bytes] = memory_of(chain[k], form.operations[k], s);
         const bool is_own = form.operations[k].sources[s].from == Operation::Source::Own;
         const bool is_early =
-            room_.blocks != 0 && form.operations[k].sources[s].halo < 0 &&
+            capacity_.blocks != 0 && form.operations[k].sources[s].halo < 0 &&
             (is_mine(chain[k], form.operations[k], s) || !phase_written_.touch(begin, bytes)) &&
             (is_own || !own.touch(begin, bytes));
         const bool is_unwritten = is_early && !written_.touch(begin, bytes);
@@ -451,9 +451,9 @@ class Writer {
   }
   // Returns whether the thread that reads the rows of the source also wrote them.
   bool is_mine(const novaphy_persistent_op& o, const Operation& op, size_t source) const {
-    return room_.plan != nullptr && op.kind != Operation::Copy &&
+    return capacity_.plan != nullptr && op.kind != Operation::Copy &&
            op.sources[source].from == Operation::Source::Own &&
-           room_.plan->operations[number_of(o)].mine.contains(
+           capacity_.plan->operations[number_of(o)].mine.contains(
                static_cast<int32_t>(out_.source_word(op, source)));
   }
   // Returns the memory that an operation may read through a source: its address and its bytes.
@@ -467,14 +467,14 @@ class Writer {
     return {o.op.arguments[word], rows * row};
   }
 
-  // Records the loads of a chain from memory that the persistent kernel only reads. A thread may keep
-  // these words in registers from step to step. Chains that load the same words in the same threads
-  // share the registers, and count once.
+  // Records the loads of a chain from memory that the persistent kernel only reads. A thread may
+  // keep these words in registers from step to step. Chains that load the same words in the same
+  // threads share the registers, and count once.
   void note_kept(const ChainForm& form, uint32_t number, int64_t rows, Warps warps,
                  const uint64_t* words, uint64_t at) {
     User user{0, warps, {at}};
     std::vector<uint64_t> key = {number, warps.first, warps.second, static_cast<uint64_t>(rows)};
-    if (room_.plan != nullptr) key.push_back(room_.plan->phases[phase_].layout);
+    if (capacity_.plan != nullptr) key.push_back(capacity_.plan->phases[phase_].layout);
     for (const int32_t word : form.tables) {
       user.words += 2 + kBatch;
       key.insert(key.end(), {words[word], words[word + 1]});
@@ -500,11 +500,11 @@ class Writer {
     for (const User& user : users_) {
       if (user.chains.size() < kMinUses) continue;
       const uint64_t position = kept_.place(user.words, user.warps);
-      out_.fits = out_.fits && (position != 0 || room_.plan == nullptr);
+      out_.fits = out_.fits && (position != 0 || capacity_.plan == nullptr);
       for (const uint64_t at : user.chains)
         if (position != 0) out_.words[at] = 2 * position + (at == user.chains[0] ? 1 : 0);
     }
-    if (room_.plan != nullptr) place_rare();
+    if (capacity_.plan != nullptr) place_rare();
   }
 
   // With a plan all such loads are kept. Those that do not pay off share words, filled each time.
@@ -720,7 +720,7 @@ class Writer {
   size_t first_op_ = 0;                      // first operation of the phase
   std::span<const novaphy_persistent_op> phase_ops_;
   Kept kept_;
-  const PersistentRoom room_;
+  const PersistentCapacity capacity_;
   std::vector<uint64_t> tasks_;
   std::map<SourceUse, uint32_t> uses_;
   std::vector<User> users_;
@@ -728,7 +728,7 @@ class Writer {
   std::map<const novaphy_kernel*, int32_t> programs_;
   std::map<ChainForm, uint32_t> forms_;
   static constexpr char kEarly = 1, kUnwritten = 2;
-  std::vector<std::vector<char>> early_;                // by form and source of its operations
+  std::vector<std::vector<char>> early_;  // by form and source of its operations
   // by operation: its form, and its index in the form
   std::vector<std::pair<uint32_t, uint32_t>> form_of_;
   const EarlyWords early_halves_;
@@ -785,10 +785,10 @@ std::vector<uint64_t> worth_early(const PersistentTable& table, Operation op) {
 }  // namespace
 
 PersistentTable persistent_table(std::span<const novaphy_persistent_op> ops,
-                                 const PersistentRoom& room) {
-  Writer plain(room, {});
+                                 const PersistentCapacity& capacity) {
+  Writer plain(capacity, {});
   PersistentTable table = plain.run(ops);
-  if (room.early_bytes == 0) return table;
+  if (capacity.early_bytes == 0) return table;
   std::vector<std::vector<std::vector<uint64_t>>> of_forms;
   bool any = false;
   for (const ChainForm& form : table.forms) {
@@ -801,8 +801,8 @@ PersistentTable persistent_table(std::span<const novaphy_persistent_op> ops,
   if (!any) return table;
   Writer::EarlyWords early;
   for (const auto& [form, number] : plain.form_of()) early.push_back(of_forms[form][number]);
-  PersistentTable with = Writer(room, early).run(ops);
-  return with.fits && with.early_bytes <= room.early_bytes ? with : table;
+  PersistentTable with = Writer(capacity, early).run(ops);
+  return with.fits && with.early_bytes <= capacity.early_bytes ? with : table;
 }
 
 uint32_t most_warps(std::span<const novaphy_persistent_op> ops) {

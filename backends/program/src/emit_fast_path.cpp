@@ -98,20 +98,21 @@ void Emitter::note() {
   line("if (noted != NULL) {");
   ++depth_;
   line("noted[launch[" + word(launch_words() - 1) + "]] = (char)acted;");
-  line("char* const near = " + launch_room(room_bytes(p_, scan_->carried)) + ";");
+  line("char* const near = " + launch_scratch(scratch_bytes(p_, scan_->carried)) + ";");
   const std::span carried(scan_->carried);
   for (size_t k = 0; k < carried.size(); ++k) {
     const Source& source = p_.sources[at(carried[k])];
     if (!handed_over(source.type, source.width)) continue;
-    line("if (acted && near != NULL) keep3f(near + " + str(room_bytes(p_, carried.first(k))) +
+    line("if (acted && near != NULL) keep3f(near + " + str(scratch_bytes(p_, carried.first(k))) +
          " * LANES, " + state(carried[k], 0) + ", " + state(carried[k], 1) + ", " +
          state(carried[k], 2) + ");");
   }
   close();
 }
 
-std::string Emitter::launch_room(int32_t row_bytes) const {
-  return "launch_room(room, launch[" + word(launch_words() - 1) + "], " + str(row_bytes) + ")";
+std::string Emitter::launch_scratch(int32_t row_bytes) const {
+  return "launch_scratch(scratch, launch[" + word(launch_words() - 1) + "], " + str(row_bytes) +
+         ")";
 }
 
 int32_t Emitter::near_bytes(int32_t source) const {
@@ -120,7 +121,7 @@ int32_t Emitter::near_bytes(int32_t source) const {
   const Scan kept = *find_scan(*primal_);
   const std::span carried(kept.carried);
   for (size_t k = 0; k < carried.size(); ++k)
-    if (carried[k] == source) return room_bytes(*primal_, carried.first(k));
+    if (carried[k] == source) return scratch_bytes(*primal_, carried.first(k));
   return -1;
 }
 
@@ -129,9 +130,11 @@ bool adjoint_of_scan(const Program& adjoint, const Program& primal) {
     return false;
   const auto later = find_scan(adjoint), first = find_scan(primal);
   if (!later || !first) return false;
-  const auto asks = Emitter(adjoint, false, &*later).questions(),
-             asked = Emitter(primal, false, &*first).questions();
-  return asks && asked && std::includes(asked->begin(), asked->end(), asks->begin(), asks->end());
+  const auto adjoint_questions = Emitter(adjoint, false, &*later).questions(),
+             primal_questions = Emitter(primal, false, &*first).questions();
+  return adjoint_questions && primal_questions &&
+         std::includes(primal_questions->begin(), primal_questions->end(),
+                       adjoint_questions->begin(), adjoint_questions->end());
 }
 
 }  // namespace nova::ir

@@ -16,9 +16,9 @@ void Emitter::groups_begin() {
   }
   for (size_t o = 0; o < p_.outputs.size(); ++o) {
     const std::string k = str(static_cast<int64_t>(o)), bytes = output_bytes(o);
-    if (tail_) line("char room" + k + "[LANES * " + bytes + "];");
+    if (tail_) line("char scratch" + k + "[LANES * " + bytes + "];");
     line("char* const o" + k + " = " +
-         (tail_ ? "i == done ? out" + k + " : room" + k + " - " + bytes + " * i" : "out" + k) +
+         (tail_ ? "i == done ? out" + k + " : scratch" + k + " - " + bytes + " * i" : "out" + k) +
          ";");
   }
   prefetch_group();
@@ -27,7 +27,7 @@ void Emitter::groups_begin() {
 void Emitter::groups_end() {
   for (size_t o = 0; o < p_.outputs.size() && tail_; ++o) {
     const std::string k = str(static_cast<int64_t>(o));
-    line("if (i != done) copy_tail(out" + k + ", room" + k + ", " + output_bytes(o) +
+    line("if (i != done) copy_tail(out" + k + ", scratch" + k + ", " + output_bytes(o) +
          ", i, done);");
   }
   close();

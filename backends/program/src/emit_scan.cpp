@@ -10,7 +10,7 @@ std::string Emitter::run_scan(const std::string& function, const Program* primal
   const std::string parameters =
       "(const novaphy_native_launches* all, int64_t begin,\n"
       "                  int64_t end, novaphy_error_sink* sink";
-  line("// The same for launches that follow each other. `large`: they have a room or notes.");
+  line("// The same for launches that follow each other. `large`: they have scratch memory or notes.");
   line("LANE_FN int64_t " + function + "_rows" + parameters + ", const int large) {");
   ++depth_;
   line("const uint64_t* const args = all->args;");
@@ -20,16 +20,16 @@ std::string Emitter::run_scan(const std::string& function, const Program* primal
   line("for (; i + LANES <= last; i += LANES) {");
   ++depth_;
   before_the_launches();
-  line("char* const room = large ? group_room(all, i) : NULL;");
+  line("char* const scratch = large ? group_scratch(all, i) : NULL;");
   line("char* const noted = large ? group_notes(all, i) : NULL;");
   const std::string width = word(launch_words());
   line("for (const uint64_t *launch = all->table, *const stop = launch + " + width +
        " * all->count; launch != stop; launch += " + width + ") {");
   ++depth_;
   if (primal) quiet_launch();
-  std::string unasked = "0";
-  for (const Value v : limits()) unasked += " | " + acted_bit(v);
-  line("unsigned char acted = " + unasked + ";");
+  std::string acted = "0";
+  for (const Value v : limits()) acted += " | " + acted_bit(v);
+  line("unsigned char acted = " + acted + ";");
   launch_sources();
   steps();
   if (!primal) note();
@@ -43,7 +43,7 @@ std::string Emitter::run_scan(const std::string& function, const Program* primal
   const auto rows = [&](const char* large) {
     return function + "_rows(all, begin, end, sink, " + large + ")";
   };
-  line("return all->room != NULL || all->notes != NULL ? " + rows("1"));
+  line("return all->scratch != NULL || all->notes != NULL ? " + rows("1"));
   line("                                               : " + rows("0") + ";");
   close();
   return std::move(out_);
@@ -96,7 +96,7 @@ void Emitter::load_state(int32_t source) {
 void Emitter::launch_sources() {
   if (primal_)
     line("const char* const near = " +
-         launch_room(room_bytes(*primal_, find_scan(*primal_)->carried)) + ";");
+         launch_scratch(scratch_bytes(*primal_, find_scan(*primal_)->carried)) + ";");
   for (size_t k = 0; k < scan_->varying.size(); ++k) {
     const int32_t source = scan_->varying[k];
     line("const char* const s" + str(source) + " = (const char*)launch[" + word(k) + "];");

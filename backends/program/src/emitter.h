@@ -81,9 +81,9 @@ class Emitter {
   void load_state(int32_t source);
   // Returns the text that prefetches array k of a later launch.
   std::string prefetch_rows(size_t k, int32_t width, const char* write) const;
-  // Returns the text for the part of the room that a launch has, and the offset of a varying source
-  // in the row of a launch, or -1.
-  std::string launch_room(int32_t row_bytes) const;
+  // Returns the text for the part of the scratch that a launch has, and the offset of a varying
+  // source in the row of a launch, or -1.
+  std::string launch_scratch(int32_t row_bytes) const;
   int32_t near_bytes(int32_t source) const;
   void launch_sources();  // writes the loads of a launch's varying addresses
   void put(size_t o);     // writes the store of an output of a launch

@@ -29,12 +29,11 @@ std::optional<Scan> find_scan(const Program& program) {
     scan.carried.push_back(output.carried);
   }
   for (int32_t s = 0; s < static_cast<int32_t>(program.sources.size()); ++s)
-    if (program.sources[static_cast<size_t>(s)].varies && at_own_row(s))
-      scan.varying.push_back(s);
+    if (program.sources[static_cast<size_t>(s)].varies && at_own_row(s)) scan.varying.push_back(s);
   return scan;
 }
 
-int32_t room_bytes(const Program& program, std::span<const int32_t> carried) {
+int32_t scratch_bytes(const Program& program, std::span<const int32_t> carried) {
   int32_t bytes = 0;
   for (const int32_t source : carried)
     bytes += 4 * program.sources[static_cast<size_t>(source)].width;

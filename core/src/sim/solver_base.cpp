@@ -210,7 +210,7 @@ void SolverBase::check_step(const char* name, const SimState& state_in, const Si
 void SolverBase::watch_overflow(const char* name, const Contacts& contacts) const {
   if (warned_of_overflow_) return;
   if (!device().is_cpu() &&
-      (launch_recorder() != nullptr || !std::has_single_bit(++overflow_looks_)))
+      (launch_recorder() != nullptr || !std::has_single_bit(++overflow_checks_)))
     return;
   const UntrackedScope untracked;
   const auto found = [&](const DeviceArray<int32_t>& count) {

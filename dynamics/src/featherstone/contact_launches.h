@@ -14,14 +14,14 @@ const char* articulation_contact_vjp_kernels_source();
 
 struct ContactKernels {
 #define NOVAPHY_CONTACT_KERNEL(name) \
-  Kernel<decltype(articulation_##name)::Arguments> name{articulation_##name, text};
+  Kernel<decltype(articulation_##name)::Arguments> name{articulation_##name, source};
 #define NOVAPHY_STEP_KERNEL(name) \
-  Kernel<ArticulationContactStepArguments> name{kInChunks<articulation_##name, kTreeRows>, text};
-  static constexpr DeviceText text = detail::articulation_contact_kernels_source,
-                              vjp_text = detail::articulation_contact_vjp_kernels_source;
+  Kernel<ArticulationContactStepArguments> name{kInChunks<articulation_##name, kTreeRows>, source};
+  static constexpr DeviceSource source = detail::articulation_contact_kernels_source,
+                                vjp_text = detail::articulation_contact_vjp_kernels_source;
   NOVAPHY_CONTACT_KERNEL(contact_group)
   Kernel<ArticulationContactStepArguments> contact_step{
-      kInChunks<articulation_contact_step, kTreeRows * kTeamThreads>, text};
+      kInChunks<articulation_contact_step, kTreeRows * kTeamThreads>, source};
   NOVAPHY_STEP_KERNEL(contact_open)
   NOVAPHY_STEP_KERNEL(contact_islands)
   NOVAPHY_STEP_KERNEL(contact_start)

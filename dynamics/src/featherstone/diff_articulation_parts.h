@@ -155,7 +155,7 @@ struct ArticulationStep::Shared {
   FeatherstoneOptions options;
   Device device;
   Articulations articulations;
-  MimicLimits followers;
+  MimicLimits mimics;
   std::optional<TreeSteps> trees;  // on the CPU
   ContactSteps contacts;
   std::vector<int32_t> all;  // all articulations
@@ -175,9 +175,7 @@ struct ArticulationStep::Shared {
   const char* without_motion = nullptr;  // MotionCounts::held of all steps
   bool is_auto() const { return contact_gradient == DerivativeOf::Auto; }
   // Returns whether times of events move, outside of captures.
-  bool moves() const {
-    return contact_gradient != DerivativeOf::Code && without_motion == nullptr;
-  }
+  bool moves() const { return contact_gradient != DerivativeOf::Code && without_motion == nullptr; }
   // Returns the counts before the first step.
   MotionCounts no_motion() const {
     return {.held = without_motion, .drift = std::make_shared<AdjointDrift>()};
@@ -185,7 +183,7 @@ struct ArticulationStep::Shared {
   MotionCounts motion;
   struct Witness;
   std::weak_ptr<Witness> witness;
-  std::weak_ptr<const Step> last;           // only with MotionNotes
+  std::weak_ptr<const Step> last;  // only with MotionNotes
   // The last step of each chain, by the memory of joint_q at its end. Loops that alternate have a
   // chain each.
   std::map<const void*, std::weak_ptr<const Step>> ends;

@@ -264,7 +264,7 @@ void ArticulationStep::begin(const Model& model, const Control* control, const c
          ": a replay of a captured step failed, its results are NaN: ",
          std::exchange(shared_->failure, {}));
   shared_->articulations.check_values(model, control, true, function);
-  shared_->followers.check(model, shared_->options, function);
+  shared_->mimics.check(model, shared_->options, function);
   const nova::Tape* const tape = nova::Tape::active();
   const auto carries = [&](const Array& array) {
     return tape != nullptr && tape->carries_gradient(*array.range());

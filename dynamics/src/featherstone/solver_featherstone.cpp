@@ -94,10 +94,10 @@ struct SolverFeatherstone::Cache {
   }
   void check_values(const Model& m, const Control* control, const FeatherstoneOptions& options) {
     articulations.check_values(m, control, true, kName);
-    followers.check(m, options, kName);
+    mimics.check(m, options, kName);
   }
   Articulations articulations;
-  MimicLimits followers;
+  MimicLimits mimics;
   DeviceArray<float> qdd, branch, workspace;
   DeviceArray<int32_t> status;
   int64_t stride = 0;              // floats of the workspace per articulation

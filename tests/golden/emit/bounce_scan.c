@@ -1,4 +1,4 @@
-// The same for launches that follow each other. `large`: they have a room or notes.
+// The same for launches that follow each other. `large`: they have scratch memory or notes.
 LANE_FN int64_t k_bounce_scan_rows(const novaphy_native_launches* all, int64_t begin,
                   int64_t end, novaphy_error_sink* sink, const int large) {
   const uint64_t* const args = all->args;
@@ -27,7 +27,7 @@ LANE_FN int64_t k_bounce_scan_rows(const novaphy_native_launches* all, int64_t b
     if (probe0.index != INT64_MAX) return i;
     vf state0_0;
     state0_0 = load_columnf(s0 + 4 * i, 1);
-    char* const room = large ? group_room(all, i) : NULL;
+    char* const scratch = large ? group_scratch(all, i) : NULL;
     char* const noted = large ? group_notes(all, i) : NULL;
     for (const uint64_t *launch = all->table, *const stop = launch + 2 * all->count; launch != stop; launch += 2) {
       unsigned char acted = 0;
@@ -52,7 +52,7 @@ LANE_FN int64_t k_bounce_scan_rows(const novaphy_native_launches* all, int64_t b
       }
       if (noted != NULL) {
         noted[launch[1]] = (char)acted;
-        char* const near = launch_room(room, launch[1], 4);
+        char* const near = launch_scratch(scratch, launch[1], 4);
       }
       char* const o0 = (char*)launch[0];
       if (o0 != NULL) {
@@ -66,6 +66,6 @@ LANE_FN int64_t k_bounce_scan_rows(const novaphy_native_launches* all, int64_t b
 }
 static int64_t k_bounce_scan(const novaphy_native_launches* all, int64_t begin,
                   int64_t end, novaphy_error_sink* sink) {
-  return all->room != NULL || all->notes != NULL ? k_bounce_scan_rows(all, begin, end, sink, 1)
+  return all->scratch != NULL || all->notes != NULL ? k_bounce_scan_rows(all, begin, end, sink, 1)
                                                  : k_bounce_scan_rows(all, begin, end, sink, 0);
 }

@@ -41,8 +41,8 @@ static int64_t k_damper_b1c447978d989088(const uint64_t* args, int64_t begin, in
   for (; i < last && last - begin >= LANES; i += LANES) {
     const int64_t done = i;
     if (i + LANES > last) i = last - LANES;
-    char room0[LANES * 12];
-    char* const o0 = i == done ? out0 : room0 - 12 * i;
+    char scratch0[LANES * 12];
+    char* const o0 = i == done ? out0 : scratch0 - 12 * i;
     vf* const now = next;
     next = here, here = now;
     const vi v3 = next3;
@@ -113,7 +113,7 @@ static int64_t k_damper_b1c447978d989088(const uint64_t* args, int64_t begin, in
       gather3f_prefetched(s2, &prefetch3, next + 9);
     }
     store3f(o0 + 12 * i, v14, v23, v32);
-    if (i != done) copy_tail(out0, room0, 12, i, done);
+    if (i != done) copy_tail(out0, scratch0, 12, i, done);
   }
   return i;
 }

@@ -22,8 +22,8 @@ static int64_t k_neighbors_9b43e32f5b9a80f9(const uint64_t* args, int64_t begin,
   for (; i < last && last - begin >= LANES; i += LANES) {
     const int64_t done = i;
     if (i + LANES > last) i = last - LANES;
-    char room0[LANES * 4];
-    char* const o0 = i == done ? out0 : room0 - 4 * i;
+    char scratch0[LANES * 4];
+    char* const o0 = i == done ? out0 : scratch0 - 4 * i;
     vf v5, v8, v12;
     load3f(s0 + 12 * i, &v5, &v8, &v12);
     vf sum0_0 = splatf(0.0f);
@@ -44,7 +44,7 @@ static int64_t k_neighbors_9b43e32f5b9a80f9(const uint64_t* args, int64_t begin,
       sum0_0 = vselectf(on0, sum0_0 + v14, sum0_0);
     }
     store_columnf(o0 + 4 * i, 1, sum0_0);
-    if (i != done) copy_tail(out0, room0, 4, i, done);
+    if (i != done) copy_tail(out0, scratch0, 4, i, done);
   }
   return i;
 }

@@ -19,14 +19,14 @@ static int64_t k_sgd_update_f32_e7ccf396a43bc5a1(const uint64_t* args, int64_t b
   for (; i < last && last - begin >= LANES; i += LANES) {
     const int64_t done = i;
     if (i + LANES > last) i = last - LANES;
-    char room0[LANES * 4];
-    char* const o0 = i == done ? out0 : room0 - 4 * i;
+    char scratch0[LANES * 4];
+    char* const o0 = i == done ? out0 : scratch0 - 4 * i;
     const vf v1 = load_columnf(s0 + 4 * i, 1);
     const vf v2 = load_columnf(s1 + 4 * i, 1);
     const vf v4 = v2 * pf0;
     const vf v5 = v1 - v4;
     store_columnf(o0 + 4 * i, 1, v5);
-    if (i != done) copy_tail(out0, room0, 4, i, done);
+    if (i != done) copy_tail(out0, scratch0, 4, i, done);
   }
   return i;
 }

@@ -25,8 +25,8 @@ static int64_t k_sgd_update_vec3_clipped_f32_6ef567023190fa83(const uint64_t* ar
   for (; i < last && last - begin >= LANES; i += LANES) {
     const int64_t done = i;
     if (i + LANES > last) i = last - LANES;
-    char room0[LANES * 12];
-    char* const o0 = i == done ? out0 : room0 - 12 * i;
+    char scratch0[LANES * 12];
+    char* const o0 = i == done ? out0 : scratch0 - 12 * i;
     vf v1, v5, v8;
     load3f(s1 + 12 * i, &v1, &v5, &v8);
     const vf v3 = v1 * 0.0f;
@@ -94,7 +94,7 @@ static int64_t k_sgd_update_vec3_clipped_f32_6ef567023190fa83(const uint64_t* ar
     const vf v56 = vselectf(v12, v55, v33);
     const vf v59 = vselectf(v12, v58, v40);
     store3f(o0 + 12 * i, v53, v56, v59);
-    if (i != done) copy_tail(out0, room0, 12, i, done);
+    if (i != done) copy_tail(out0, scratch0, 12, i, done);
   }
   return i;
 }

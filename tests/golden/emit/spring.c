@@ -36,8 +36,8 @@ static int64_t k_spring_f85e30c33e67a848(const uint64_t* args, int64_t begin, in
   for (; i < last && last - begin >= LANES; i += LANES) {
     const int64_t done = i;
     if (i + LANES > last) i = last - LANES;
-    char room0[LANES * 24];
-    char* const o0 = i == done ? out0 : room0 - 24 * i;
+    char scratch0[LANES * 24];
+    char* const o0 = i == done ? out0 : scratch0 - 24 * i;
     vf* const now = next;
     next = here, here = now;
     const vi v4 = next4;
@@ -71,7 +71,7 @@ static int64_t k_spring_f85e30c33e67a848(const uint64_t* args, int64_t begin, in
     gather3f_prefetched(s1, &prefetch4, next + 3);
     store_columns4f(o0 + 24 * i, 6, v7, v11, v15, v16);
     store_columns4f(o0 + 24 * i + 8, 6, v15, v16, v17, v18);
-    if (i != done) copy_tail(out0, room0, 24, i, done);
+    if (i != done) copy_tail(out0, scratch0, 24, i, done);
   }
   return i;
 }

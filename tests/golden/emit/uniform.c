@@ -23,14 +23,14 @@ static int64_t k_uniform_8b4d11860afc874e(const uint64_t* args, int64_t begin, i
   for (; i < last && last - begin >= LANES; i += LANES) {
     const int64_t done = i;
     if (i + LANES > last) i = last - LANES;
-    char room0[LANES * 8];
-    char* const o0 = i == done ? out0 : room0 - 8 * i;
+    char scratch0[LANES * 8];
+    char* const o0 = i == done ? out0 : scratch0 - 8 * i;
     vf v1, v9;
     load2f(s0 + 8 * i, &v1, &v9);
     const vf v8 = v1 * u7;
     const vf v11 = v9 + u10;
     store2f(o0 + 8 * i, v8, v11);
-    if (i != done) copy_tail(out0, room0, 8, i, done);
+    if (i != done) copy_tail(out0, scratch0, 8, i, done);
   }
   return i;
 }

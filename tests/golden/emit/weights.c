@@ -18,8 +18,8 @@ static int64_t k_weights_e9ffa7a9e0791fbb(const uint64_t* args, int64_t begin, i
   for (; i < last && last - begin >= LANES; i += LANES) {
     const int64_t done = i;
     if (i + LANES > last) i = last - LANES;
-    char room0[LANES * 4];
-    char* const o0 = i == done ? out0 : room0 - 4 * i;
+    char scratch0[LANES * 4];
+    char* const o0 = i == done ? out0 : scratch0 - 4 * i;
     const vf v2 = load_columnf(s0 + 4 * i, 1);
     vf sum0_0 = splatf(0.0f);
     for (int32_t r0 = 0; r0 < extent0; ++r0) {
@@ -29,7 +29,7 @@ static int64_t k_weights_e9ffa7a9e0791fbb(const uint64_t* args, int64_t begin, i
       sum0_0 = sum0_0 + v7;
     }
     store_columnf(o0 + 4 * i, 1, sum0_0);
-    if (i != done) copy_tail(out0, room0, 4, i, done);
+    if (i != done) copy_tail(out0, scratch0, 4, i, done);
   }
   return i;
 }

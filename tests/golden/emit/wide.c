@@ -17,8 +17,8 @@ static int64_t k_wide_c9fcccd74841408c(const uint64_t* args, int64_t begin, int6
   for (; i < last && last - begin >= LANES; i += LANES) {
     const int64_t done = i;
     if (i + LANES > last) i = last - LANES;
-    char room0[LANES * 24];
-    char* const o0 = i == done ? out0 : room0 - 24 * i;
+    char scratch0[LANES * 24];
+    char* const o0 = i == done ? out0 : scratch0 - 24 * i;
     const vf v1 = load_columnf(s1 + 28 * i, 7);
     vf x1_3_again, v6, v11, v16;
     load_columns4f(s1 + 28 * i + 12, 7, &x1_3_again, &v6, &v11, &v16);
@@ -41,7 +41,7 @@ static int64_t k_wide_c9fcccd74841408c(const uint64_t* args, int64_t begin, int6
     const vf v25 = v24 + v14;
     store_columns4f(o0 + 24 * i, 6, v5, v10, v15, v19);
     store_columns4f(o0 + 24 * i + 8, 6, v15, v19, v22, v25);
-    if (i != done) copy_tail(out0, room0, 24, i, done);
+    if (i != done) copy_tail(out0, scratch0, 24, i, done);
   }
   return i;
 }

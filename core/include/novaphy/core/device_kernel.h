@@ -41,13 +41,13 @@ NOVAPHY_CORE_API LaunchArgument number(int64_t value);
 
 // Returns the source of a *_kernels.h for device compilers, or null if the build has no such
 // source.
-using DeviceText = const char* (*)();
+using DeviceSource = const char* (*)();
 
 // A kernel is compiled or loaded for a device at its first launch there. A DeviceKernel must live
 // as long as the process, because recordings refer to it.
 class NOVAPHY_CORE_API DeviceKernel {
  public:
-  DeviceKernel(const novaphy_row_function& function, DeviceText text);
+  DeviceKernel(const novaphy_row_function& function, DeviceSource source);
   explicit DeviceKernel(const char* builtin);  // name of a builtin, see <novaphy/abi/program.h>
   ~DeviceKernel();
   DeviceKernel(const DeviceKernel&) = delete;
@@ -83,7 +83,7 @@ class NOVAPHY_CORE_API DeviceKernel {
 
   const char* name_;
   const novaphy_row_function* function_ = nullptr;  // null: a builtin
-  DeviceText text_ = nullptr;
+  DeviceSource source_ = nullptr;
   mutable std::atomic<const Made*> first_{nullptr};  // the entry of the first device, read without
                                                      // the lock
   mutable std::mutex mutex_;
@@ -95,7 +95,7 @@ class NOVAPHY_CORE_API DeviceKernel {
 template <class A>
 class Kernel : public DeviceKernel {
  public:
-  Kernel(const RowKernel<A>& kernel, DeviceText text) : DeviceKernel(kernel, text) {}
+  Kernel(const RowKernel<A>& kernel, DeviceSource source) : DeviceKernel(kernel, source) {}
   explicit Kernel(const char* builtin) : DeviceKernel(builtin) {}
 };
 

@@ -22,7 +22,7 @@ struct Scan {
 inline bool handed_over(Type type, int32_t width) { return type == Type::F32 && width == 3; }
 
 // Returns the bytes per row of the memory where a scan keeps the carried sources of one launch.
-int32_t room_bytes(const Program& program, std::span<const int32_t> carried);
+int32_t scratch_bytes(const Program& program, std::span<const int32_t> carried);
 
 // Returns the scan that the Program declares with Output::carried and Source::varies. All other
 // sources, tables and parameters must be the same in every launch. Returns no scan if an output is

@@ -86,7 +86,7 @@ class NOVAPHY_CORE_API SolverBase {
                                     // state
   std::array<uint64_t, StateFields::kFieldCount> next_versions_{};
   mutable bool warned_of_overflow_ = false;
-  mutable uint64_t overflow_looks_ = 0;
+  mutable uint64_t overflow_checks_ = 0;
 };
 
 }  // namespace novaphy

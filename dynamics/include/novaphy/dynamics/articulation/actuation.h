@@ -141,7 +141,7 @@ void actuate(const Actuation& a, int32_t dof, const Number& number, const Put& p
             effort = number(kEffort, dof, 0), target = coord < 0 ? none : number(kTarget, coord, 0);
   if (a.first[dof] < a.first[dof + 1]) {
     const DualFloat pull = stiffness * target, drag = damping * rate;
-    DualFloat asked = none;
+    DualFloat servo = none;
     for (int32_t i = a.first[dof]; i < a.first[dof + 1]; ++i) {
       const int32_t k = a.order[i];
       DualFloat input = clipped_control(k, number);
@@ -169,15 +169,15 @@ void actuate(const Actuation& a, int32_t dof, const Number& number, const Put& p
         force = force + f.gear * middle;
         part = part - middle;
       }
-      asked = asked + f.gear * part;
+      servo = servo + f.gear * part;
     }
     if (stiffness > none) {
-      target = (pull + asked) / stiffness;
+      target = (pull + servo) / stiffness;
     } else {
       target = none;
       force = force + pull;
     }
-    const DualFloat to_rate = stiffness > none ? drag : drag + asked;
+    const DualFloat to_rate = stiffness > none ? drag : drag + servo;
     if (damping > none) {
       rate = to_rate / damping;
     } else {

@@ -1,5 +1,5 @@
-// Tape::backward first plans the steps and checks every value that will be read. Then the steps
-// run. An overwritten input is therefore reported before a gradient changes.
+// Tape::backward first plans the operations of the backward pass, and checks every value that they
+// will read. Then the operations run. An overwritten input is therefore reported before a gradient changes.
 #include <algorithm>
 #include <array>
 #include <utility>

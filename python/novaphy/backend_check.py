@@ -46,7 +46,7 @@ print(f"{d}: {d.name}, {d.total_memory} bytes, {d.free_memory} free, number {d.a
 
 
 class Report:
-    """Collects lines that are printed, and written to a file at the end."""
+    """Prints lines, and keeps the lines for a file that is written at the end."""
 
     def __init__(self) -> None:
         """Start an empty report."""

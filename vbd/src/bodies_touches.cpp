@@ -1,4 +1,4 @@
-// The contacts of particles with bodies (touch_law.h) in a step of bodies.
+// The contacts of particles with rigid bodies (touch_law.h) in a step of SolverVBD.
 #include <cmath>
 
 #include "bodies_side.h"

@@ -141,7 +141,7 @@ class ContactSteps {
   // without waiting.
   bool has_seen() const;
 
-  // Makes the next step, and captures that replay a step, start without a warm start.
+  // Clears the impulses from which the next step starts its solve, also for replays of a capture.
   void forget_impulses();
 
   // Returns the size in floats of the memory per articulation in an adjoint.

@@ -50,7 +50,7 @@ def linearize(
         state: the state x with the forces that act. The function does not write the state.
         control: the control of the step. None: the control of the model.
         dt: the time step (s).
-        contacts: the contacts of the state, or None. Contact points move as in `step`.
+        contacts: the contacts of the state, or None. Their points move with the bodies.
         inputs: the input u: "joint_f" (N or N m), "joint_target_qd" or "joint_target_q".
 
     Returns:

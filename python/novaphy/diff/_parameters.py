@@ -226,7 +226,10 @@ class Losses:
         return np.concatenate(found)
 
     def slopes(self, moves: Numbers) -> Slopes:
-        """Return losses and gradients at theta + moves * sigma; the info is of the last batch."""
+        """Return losses, gradients and GradientInfo at theta + moves * sigma.
+
+        The info is that of the last batch.
+        """
         # Each batch has its own tape. It is gone before the next batch lets f reuse its memory.
         parts = [self._slopes(first, points) for first, points in self._parts(moves)]
         losses, gradients = (np.concatenate([part[k] for part in parts]) for k in (0, 1))

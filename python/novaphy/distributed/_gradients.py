@@ -154,7 +154,10 @@ def sum_blocks(function: Callable[[Block], Vector], shard: Shard) -> Vector:
 
 
 def total_of(blocks: int, nodes: list[Node]) -> Vector:
-    """Return the sum of all blocks from the nodes of all ranks."""
+    """Return the sum over all blocks of worlds.
+
+    nodes: the partial sums of all ranks, each with its level and index in the binary tree of sums.
+    """
     sums = BlockSums(blocks)
     for level, index, values in nodes:
         sums.put(level, index, values)

@@ -81,7 +81,7 @@ class _RayExecutor:
 
 
 class Pool:
-    """Workers that compute the blocks of a run for one process.
+    """Workers that compute blocks of worlds for one process.
 
     kind: "processes" (of this machine), "ray" (actors), or "mpi" (the program is started by mpiexec
     -n N python -m mpi4py.futures FILE).

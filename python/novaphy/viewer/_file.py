@@ -244,7 +244,8 @@ class ViewerFile(Viewer):
         """Show a frame in another viewer and return its time (s).
 
         Args:
-            viewer: has shown the previous frame, or nothing yet (show_start).
+            viewer: the viewer that draws the frame. The viewer must have shown the previous frame,
+                or only the start (`show_start`).
             frame: index of the frame. IndexError: the frame does not exist.
             from_start: also show the drawings of all earlier frames.
         """

@@ -235,13 +235,13 @@ Shapes check_static_shapes(const Model& model) {
   for (size_t s = 0; s < type.size(); ++s) {
     if (!(flags[s] & static_cast<int32_t>(ShapeFlags::COLLIDE_PARTICLES))) continue;
     const auto t = static_cast<GeoType>(type[s]);
-    const bool round = t == GeoType::CYLINDER || t == GeoType::CONE || t == GeoType::ELLIPSOID;
-    const bool covered = body[s] < 0 && (round || t == GeoType::PLANE || t == GeoType::BOX ||
-                                         t == GeoType::SPHERE || t == GeoType::CAPSULE);
+    const ShapeTraits traits = shape_traits(t);
+    const bool covered =
+        body[s] < 0 && traits.size != ShapeSize::NONE && traits.size != ShapeSize::FACTORS;
     require(covered, ErrorKind::NotImplemented, "shape ", s, " (", geo_type_name(t),
             "): static contacts cover world-owned planes, boxes, spheres, capsules, cylinders, "
             "cones and ellipsoids");
-    if (round) shapes = Shapes::All;
+    if (traits.is_curved) shapes = Shapes::All;
   }
   return shapes;
 }
@@ -259,9 +259,7 @@ Vec3<Real> static_shape_term(TraceContext& c, Worlds worlds, Shapes shapes, cons
   const Vec3<Real> scale{of_shape("shape_scale", 0), of_shape("shape_scale", 1),
                          of_shape("shape_scale", 2)};
   auto is = [&](GeoType wanted) { return type == Int(static_cast<int32_t>(wanted)); };
-  const StaticShapeType<Bool> shape_type{is(GeoType::BOX),     is(GeoType::SPHERE),
-                                         is(GeoType::CAPSULE), is(GeoType::CYLINDER),
-                                         is(GeoType::CONE),    is(GeoType::ELLIPSOID)};
+  const StaticShapeType<Bool> shape_type = static_shape_type<GeoType, Bool>(is);
   const StaticContact<Real> contact =
       shapes == Shapes::All ? static_shape_contact<true>(shape_type, xform, scale, x)
                             : static_shape_contact<false>(shape_type, xform, scale, x);

@@ -6,8 +6,8 @@
 
 #include "novaphy/collision/geometry/collide.h"
 #include "novaphy/collision/geometry/geometry_view.h"
-#include "novaphy/collision/geometry/plane_pairs.h"
 #include "novaphy/collision/geometry/rigid_rows_kernels.h"
+#include "novaphy/collision/geometry/shapes/list.h"
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/core/sim/enums.h"
 
@@ -21,14 +21,10 @@ inline float reach_along(const RigidShape& shape, const Vec3f& axis) {
     const Vec3f size = shape.geometry->box.hi - shape.geometry->box.lo;
     return 0.5f * ((size.x * x + size.y * y) + size.z * z);
   }
-  const Vec3f& s = shape.scale;
-  if (shape.type == GeoType::SPHERE) return s.x;
-  if (shape.type == GeoType::CAPSULE) return s.x + s.y * z;
-  if (shape.type == GeoType::BOX || shape.type == GeoType::ELLIPSOID)
-    return (s.x * x + s.y * y) + s.z * z;
-  if (shape.type == GeoType::CYLINDER || shape.type == GeoType::CONE)
-    return s.x * math::sqrt(x * x + y * y) + s.y * z;
-  return 1.0e6f;  // plane
+  if (!has_trait<&ShapeTraits::is_convex>(shape.type)) return 1.0e6f;  // a plane
+  return geometry::with_solid(shape.type, shape.scale, [&](const auto& solid) {
+    return solid.extent({x, y, z});
+  });
 }
 
 // Returns the shape's part of the distance at which points may touch within a step of dt. The part
@@ -103,12 +99,9 @@ inline geometry::Manifold rigid_manifold(const RigidShape& a, const RigidShape& 
   if (a.type != GeoType::PLANE)
     return collide(convex_shape(a), a.pose, convex_shape(b), b.pose, reach);
   const Plane plane = plane_of(a.pose);
-  if (b.type == GeoType::SPHERE) return plane_sphere(plane, b.pose, b.scale.x);
-  if (b.type == GeoType::CAPSULE) return plane_capsule(plane, b.pose, b.scale.x, b.scale.y);
-  if (b.type == GeoType::ELLIPSOID) return plane_ellipsoid(plane, b.pose, b.scale);
-  if (b.type == GeoType::CYLINDER) return plane_cylinder(plane, b.pose, b.scale.x, b.scale.y);
-  if (b.type == GeoType::BOX) return plane_box(plane, b.pose, b.scale, reach);
-  if (b.type == GeoType::CONE) return plane_cone(plane, b.pose, b.scale.x, b.scale.y);
+  if (b.geometry == nullptr)
+    return with_solid(b.type, b.scale,
+                      [&](const auto& solid) { return solid.on_plane(plane, b.pose, reach); });
   const GeometryView& solid = *b.geometry;
   const bool is_mesh = b.type == GeoType::MESH;
   return plane_vertices(plane, b.pose, is_mesh ? solid.mesh.vertices : solid.hull.vertices,
@@ -136,12 +129,11 @@ inline void keep_rows(const RigidShape& s0, const RigidShape& s1, const geometry
 }
 
 struct RigidContactFindArguments {
-  NOVAPHY_ARGUMENTS(
-      Optional<Reads<int32_t>> pairs_found;  // number of valid pairs; null: all pairs
-      ReadsRow<Vec2i> pairs; Reads<RigidShape> shapes;
-      Number<int64_t> per_pair;              // largest number of rows of a pair without a plane
-      Writes<geometry::Manifold> manifolds;  // the points of each pair that are rows
-      WritesRow<int32_t> counts;             // number of these points
+  NOVAPHY_ARGUMENTS(Optional<Reads<int32_t>> pairs_found;  // number of valid pairs; null: all pairs
+                    ReadsRow<Vec2i> pairs; Reads<RigidShape> shapes;
+                    Number<int64_t> per_pair;  // largest number of rows of a pair without a plane
+                    Writes<geometry::Manifold> manifolds;  // the points of each pair that are rows
+                    WritesRow<int32_t> counts;             // number of these points
   )
 };
 NOVAPHY_ROW_KERNEL(rigid_contact_find, RigidContactFindArguments) {
@@ -251,12 +243,12 @@ NOVAPHY_ROW_KERNEL(rigid_contact_trim, RigidContactTrimArguments) {
 }
 
 struct RigidContactWriteArguments {
-  NOVAPHY_ARGUMENTS(
-      Optional<Reads<RigidContactLimit>> limit;  // null: all rows fit
-      Optional<Reads<int32_t>> pairs_found;      // may exceed the room; null: all pairs
-      ReadsRow<Vec2i> pairs; Reads<RigidShape> shapes; Reads<geometry::Manifold> manifolds;
-      Part<PairRows> found; Writes<int32_t> rigid_contact_count; Part<RigidContactRows> rows;
-      Writes<int32_t> rows_filled;)
+  NOVAPHY_ARGUMENTS(Optional<Reads<RigidContactLimit>> limit;  // null: all rows fit
+                    Optional<Reads<int32_t>> pairs_found;  // may exceed the room; null: all pairs
+                    ReadsRow<Vec2i> pairs; Reads<RigidShape> shapes;
+                    Reads<geometry::Manifold> manifolds; Part<PairRows> found;
+                    Writes<int32_t> rigid_contact_count; Part<RigidContactRows> rows;
+                    Writes<int32_t> rows_filled;)
 };
 NOVAPHY_ROW_KERNEL(rigid_contact_write, RigidContactWriteArguments) {
   const int32_t count = a.found.counts[row];

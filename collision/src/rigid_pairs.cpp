@@ -16,29 +16,14 @@ namespace {
 // Returns the largest number of contacts of a pair of types a <= b. The result is 0 if the pair is
 // not supported.
 int32_t most_contacts(GeoType a, GeoType b, int32_t per_pair) {
-  using geometry::is_convex_type;
   if (is_mesh_pair(a, b)) {
     const GeoType other = a == GeoType::MESH ? b : a;
-    return is_convex_type(other) || other == GeoType::MESH ? geometry::kMeshContacts : 0;
+    const bool is_known = shape_traits(other).is_convex || other == GeoType::MESH;
+    return is_known ? geometry::kMeshContacts : 0;
   }
-  if (a != GeoType::PLANE)
-    return !is_convex_type(a) || !is_convex_type(b) ? 0 : a == GeoType::SPHERE ? 1 : per_pair;
-  switch (b) {
-    case GeoType::SPHERE:
-    case GeoType::ELLIPSOID:
-      return 1;
-    case GeoType::CAPSULE:
-      return 2;
-    case GeoType::BOX:
-    case GeoType::MESH:
-    case GeoType::CONVEX_MESH:
-      return 4;
-    case GeoType::CYLINDER:
-    case GeoType::CONE:
-      return 5;
-    default:
-      return 0;
-  }
+  if (a == GeoType::PLANE) return shape_traits(b).plane_contacts;
+  if (!shape_traits(a).is_convex || !shape_traits(b).is_convex) return 0;
+  return a == GeoType::SPHERE ? 1 : per_pair;
 }
 
 }  // namespace
@@ -163,7 +148,7 @@ void RigidPairs::check_all() const {
   const auto count = static_cast<int32_t>(type_.size());
   for (int32_t s = 0; s < count; ++s) {
     const GeoType type = type_of(s);
-    if (geometry::is_convex_type(type)) continue;
+    if (shape_traits(type).is_convex) continue;
     for (int32_t other = 0; other < count; ++other) {
       if (other == s || !may_touch(rule, s, other)) continue;
       Vec2i pair{std::min(s, other), std::max(s, other)};

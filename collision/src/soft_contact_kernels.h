@@ -6,6 +6,7 @@
 
 #include "novaphy/collision/diff_soft_contact_trace.h"
 #include "novaphy/collision/geometry/point_distance.h"
+#include "novaphy/collision/geometry/shapes/list.h"
 #include "novaphy/core/row_kernel.h"
 #include "novaphy/core/sim/enums.h"
 
@@ -17,9 +18,8 @@ struct SoftContactShape {
   float reach;  // m: gap + margin
   Vec3f scale;
   Transformf xform, pose, to_local;  // shape to body, shape to world, world to shape
-  Vec3f
-      velocity;  // zero velocity of the surface, body frame; its zeros have the signs of a rotated
-                 // vector
+  Vec3f velocity;  // zero velocity of the surface, body frame; its zeros have the signs of a
+                   // rotated vector
   const geometry::GeometryView* geometry;  // for a hull or mesh, else null
 };
 
@@ -34,13 +34,10 @@ inline SurfaceDistance<float> surface_distance(const SoftContactShape& shape, co
             : geometry::point_to_hull(x, shape.geometry->hull);
     return {point.distance, point.normal};
   }
-  if (shape.type == GeoType::BOX) return box_distance(x, shape.scale);
-  if (shape.type == GeoType::SPHERE) return sphere_distance(x, shape.scale.x);
-  if (shape.type == GeoType::CAPSULE) return capsule_distance(x, shape.scale.x, shape.scale.y);
-  if (shape.type == GeoType::CYLINDER) return cylinder_distance(x, shape.scale.x, shape.scale.y);
-  if (shape.type == GeoType::CONE) return cone_distance(x, shape.scale.x, shape.scale.y);
-  if (shape.type == GeoType::ELLIPSOID) return ellipsoid_distance(x, shape.scale);
-  return plane_distance(x, shape.scale.x, shape.scale.y);
+  if (!has_trait<&ShapeTraits::is_convex>(shape.type))
+    return plane_distance(x, shape.scale.x, shape.scale.y);
+  return geometry::with_solid(shape.type, shape.scale,
+                              [&](const auto& solid) { return solid.distance(x); });
 }
 
 // Prepares shapes. The inputs are detached, because a contact has no gradient.
@@ -93,10 +90,10 @@ struct SoftContactWriteArguments {
   NOVAPHY_ARGUMENTS(
       ReadsRow<int32_t> pair_particle;  // this and the next: a row for each pair
       ReadsRow<int32_t> pair_shape; Reads<SoftContactShape> shapes; Detached<Reads<Vec3f>> q;
-      Detached<Reads<float>> radius; ReadsRow<int32_t>
-          before;  // slots before each pair: the scan of soft_contact_touch
+      Detached<Reads<float>> radius;
+      ReadsRow<int32_t> before;  // slots before each pair: the scan of soft_contact_touch
       Number<int64_t> slots;
-      UpdatesRow<int32_t> tids;  // input: whether the pair touches; output: its slot, or -1
+      UpdatesRow<int32_t> tids;         // input: whether the pair touches; output: its slot, or -1
       Writes<int32_t> count, particle;  // from here on: a row for each slot
       Writes<int32_t> shape; Writes<Vec3f> body_pos, body_vel, normal;)
 };

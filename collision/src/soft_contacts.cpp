@@ -30,10 +30,7 @@ const Kernels& kernels() {
 void check_covered_shape(int32_t index, int32_t body, int32_t bodies, GeoType type) {
   require(body >= -1 && body < bodies, ErrorKind::Index, "CollisionPipeline: model.shape_body[",
           index, "]: expected -1 to ", bodies - 1, ", got ", body);
-  const bool covered = type == GeoType::PLANE || type == GeoType::BOX || type == GeoType::SPHERE ||
-                       type == GeoType::CAPSULE || type == GeoType::CYLINDER ||
-                       type == GeoType::CONE || type == GeoType::ELLIPSOID ||
-                       type == GeoType::MESH || type == GeoType::CONVEX_MESH;
+  const bool covered = shape_traits(type).size != ShapeSize::NONE;
   require(covered, ErrorKind::NotImplemented, "CollisionPipeline: shape ", index, " has type ",
           geo_type_name(type), " (", static_cast<int32_t>(type),
           "); particles meet only PLANE, BOX, SPHERE, CAPSULE, CYLINDER, CONE, ELLIPSOID, MESH and "

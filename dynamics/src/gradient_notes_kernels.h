@@ -100,9 +100,7 @@ NOVAPHY_ROW_KERNEL(note_static_particles, NoteStaticParticlesArguments) {
     const int32_t type = a.shape_type[s];
     const auto is = [&](GeoType wanted) { return type == static_cast<int32_t>(wanted); };
     const StaticContact<float> at = static_shape_contact<true>(
-        StaticShapeType<bool>{is(GeoType::BOX), is(GeoType::SPHERE), is(GeoType::CAPSULE),
-                              is(GeoType::CYLINDER), is(GeoType::CONE), is(GeoType::ELLIPSOID)},
-        a.shape_transform[s], a.shape_scale[s], a.q[row]);
+        static_shape_type<GeoType, bool>(is), a.shape_transform[s], a.shape_scale[s], a.q[row]);
     SeenContact& to = a.now[k];
     a.before[k] = to;
     to = SeenContact{};

@@ -449,17 +449,11 @@ void bind_contacts(py::module_& m) {
 void bind_enums(py::module_& m) {
   add_enum(m, "IntEnum", "Axis", "A coordinate axis.", {{"X", 0}, {"Y", 1}, {"Z", 2}});
   add_enum(m, "IntEnum", "GeoType", "The type of a shape, see Model.shape_type.",
-           {{"NONE", value_of(GeoType::NONE)},
-            {"PLANE", value_of(GeoType::PLANE)},
-            {"HFIELD", value_of(GeoType::HFIELD)},
-            {"SPHERE", value_of(GeoType::SPHERE)},
-            {"CAPSULE", value_of(GeoType::CAPSULE)},
-            {"ELLIPSOID", value_of(GeoType::ELLIPSOID)},
-            {"CYLINDER", value_of(GeoType::CYLINDER)},
-            {"BOX", value_of(GeoType::BOX)},
-            {"MESH", value_of(GeoType::MESH)},
-            {"CONE", value_of(GeoType::CONE)},
-            {"CONVEX_MESH", value_of(GeoType::CONVEX_MESH)}});
+           {
+#define NOVAPHY_VALUE(name, value, ...) {#name, value},
+               NOVAPHY_SHAPE_TYPES(NOVAPHY_VALUE)
+#undef NOVAPHY_VALUE
+           });
   add_enum(m, "IntEnum", "JointType", "The type of a joint, see Model.joint_type.",
            {
 #define NOVAPHY_VALUE(name, value, ...) {#name, value},

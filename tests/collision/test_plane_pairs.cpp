@@ -5,7 +5,7 @@
 #include <cmath>
 #include <random>
 
-#include "novaphy/collision/geometry/plane_pairs.h"
+#include "novaphy/collision/geometry/shapes/list.h"
 
 namespace novaphy::geometry {
 namespace {
@@ -54,32 +54,38 @@ void expect_depths(Support&& support, Pair&& pair) {
 
 TEST(PlanePairs, TheDeepestPointIsThatOfTheSupportFunction) {
   expect_depths([](const Vec3f&) { return 0.3f; },
-                [](const Plane& p, const Transformf& x) { return plane_sphere(p, x, 0.3f); });
-  expect_depths(
-      [](const Vec3f& d) { return 0.3f + 0.5f * std::abs(d.z); },
-      [](const Plane& p, const Transformf& x) { return plane_capsule(p, x, 0.3f, 0.5f); });
+                [](const Plane& p, const Transformf& x) {
+                  return Sphere({0.3f, 0.0f, 0.0f}).on_plane(p, x, 0.0f);
+                });
+  expect_depths([](const Vec3f& d) { return 0.3f + 0.5f * std::abs(d.z); },
+                [](const Plane& p, const Transformf& x) {
+                  return Capsule({0.3f, 0.5f, 0.0f}).on_plane(p, x, 0.0f);
+                });
   const Vec3f half = {0.2f, 0.3f, 0.5f};
   expect_depths(
       [&](const Vec3f& d) {
         return half.x * std::abs(d.x) + half.y * std::abs(d.y) + half.z * std::abs(d.z);
       },
-      [&](const Plane& p, const Transformf& x) { return plane_box(p, x, half, 1e6f); });
-  expect_depths(
-      [](const Vec3f& d) { return 0.3f * std::hypot(d.x, d.y) + 0.5f * std::abs(d.z); },
-      [](const Plane& p, const Transformf& x) { return plane_cylinder(p, x, 0.3f, 0.5f); });
+      [&](const Plane& p, const Transformf& x) { return Box(half).on_plane(p, x, 1e6f); });
+  expect_depths([](const Vec3f& d) { return 0.3f * std::hypot(d.x, d.y) + 0.5f * std::abs(d.z); },
+                [](const Plane& p, const Transformf& x) {
+                  return Cylinder({0.3f, 0.5f, 0.0f}).on_plane(p, x, 0.0f);
+                });
   expect_depths(
       [](const Vec3f& d) { return std::max(0.3f * std::hypot(d.x, d.y) - 0.5f * d.z, 0.5f * d.z); },
-      [](const Plane& p, const Transformf& x) { return plane_cone(p, x, 0.3f, 0.5f); });
+      [](const Plane& p, const Transformf& x) {
+        return Cone({0.3f, 0.5f, 0.0f}).on_plane(p, x, 0.0f);
+      });
   expect_depths(
       [&](const Vec3f& d) {
         return length(Vec3f{half.x * d.x, half.y * d.y, half.z * d.z});
       },
-      [&](const Plane& p, const Transformf& x) { return plane_ellipsoid(p, x, half); });
+      [&](const Plane& p, const Transformf& x) { return Ellipsoid(half).on_plane(p, x, 0.0f); });
 }
 
 TEST(PlanePairs, AFlatBoxKeepsItsLowerCorners) {
   const Manifold manifold =
-      plane_box(ground(), {{0.0f, 0.0f, 0.09f}, Quatf::identity()}, {0.1f, 0.1f, 0.1f}, 1.0f);
+      Box({0.1f, 0.1f, 0.1f}).on_plane(ground(), {{0.0f, 0.0f, 0.09f}, Quatf::identity()}, 1.0f);
   ASSERT_EQ(manifold.count, 4);
   for (int k = 0; k < 4; ++k) {
     EXPECT_EQ(manifold.points[k].feature, k);
@@ -98,7 +104,7 @@ TEST(PlanePairs, TheFourDeepestCornersOfABoxAreKept) {
                                                 c & 4 ? half.z : -half.z})
                         .z);
     std::sort(all.begin(), all.end());
-    const Manifold manifold = plane_box(ground(), pose, half, 1e6f);
+    const Manifold manifold = Box(half).on_plane(ground(), pose, 1e6f);
     std::vector<float> kept;
     for (int i = 0; i < manifold.count; ++i) kept.push_back(manifold.points[i].distance);
     std::sort(kept.begin(), kept.end());
@@ -106,9 +112,10 @@ TEST(PlanePairs, TheFourDeepestCornersOfABoxAreKept) {
     for (size_t i = 0; i < 4; ++i) ASSERT_NEAR(kept[i], all[i], 1e-5f);
   }
   // Points beyond the reach are not kept.
-  EXPECT_EQ(
-      plane_box(ground(), {{0.0f, 0.0f, 1.0f}, Quatf::identity()}, {0.1f, 0.1f, 0.1f}, 0.5f).count,
-      0);
+  EXPECT_EQ(Box({0.1f, 0.1f, 0.1f})
+                .on_plane(ground(), {{0.0f, 0.0f, 1.0f}, Quatf::identity()}, 0.5f)
+                .count,
+            0);
 }
 
 TEST(PlanePairs, AStandingCylinderHasThreePointsAndALyingOneTwo) {
@@ -116,12 +123,12 @@ TEST(PlanePairs, AStandingCylinderHasThreePointsAndALyingOneTwo) {
     return std::count_if(manifold.points, manifold.points + manifold.count,
                          [](const ContactPoint& p) { return p.distance < 0.01f; });
   };
-  EXPECT_EQ(
-      near_ground(plane_cylinder(ground(), {{0.0f, 0.0f, 0.5f}, Quatf::identity()}, 0.3f, 0.5f)),
-      3);
+  EXPECT_EQ(near_ground(Cylinder({0.3f, 0.5f, 0.0f})
+                            .on_plane(ground(), {{0.0f, 0.0f, 0.5f}, Quatf::identity()}, 0.0f)),
+            3);
   const float s = std::sqrt(0.5f);
-  const Manifold lying =
-      plane_cylinder(ground(), {{0.0f, 0.0f, 0.3f}, {0.0f, s, 0.0f, s}}, 0.3f, 0.5f);
+  const Manifold lying = Cylinder({0.3f, 0.5f, 0.0f})
+                             .on_plane(ground(), {{0.0f, 0.0f, 0.3f}, {0.0f, s, 0.0f, s}}, 0.0f);
   EXPECT_EQ(near_ground(lying), 2);
 }
 
@@ -133,8 +140,8 @@ TEST(PlanePairs, ACapThatRollsTouchesAtItsDeepestPointOnly) {
     const float flatness = std::abs(rotate(pose.q, Vec3f{0.0f, 0.0f, 1.0f}).z);
     const float sine = std::sqrt(1.0f - std::min(1.0f, flatness * flatness));
     for (const bool cone : {false, true}) {
-      const Manifold manifold = cone ? plane_cone(ground(), pose, 0.3f, 0.5f)
-                                     : plane_cylinder(ground(), pose, 0.3f, 0.5f);
+      const Manifold manifold = cone ? Cone({0.3f, 0.5f, 0.0f}).on_plane(ground(), pose, 0.0f)
+                                     : Cylinder({0.3f, 0.5f, 0.0f}).on_plane(ground(), pose, 0.0f);
       ASSERT_EQ(manifold.points[0].feature, 0);
       for (int i = 1; i < manifold.count - 1; ++i) {
         ASSERT_GT(flatness, std::cos(22.5f * 3.1415927f / 180.0f));
@@ -151,7 +158,7 @@ TEST(PlanePairs, ACapThatRollsTouchesAtItsDeepestPointOnly) {
 
 TEST(PlanePairs, APoseThatIsNoNumberGivesNoFiniteDistance) {
   const Manifold manifold =
-      plane_box(ground(), {{NAN, 0.0f, 0.0f}, Quatf::identity()}, {0.1f, 0.1f, 0.1f}, 1.0f);
+      Box({0.1f, 0.1f, 0.1f}).on_plane(ground(), {{NAN, 0.0f, 0.0f}, Quatf::identity()}, 1.0f);
   for (int k = 0; k < manifold.count; ++k) EXPECT_FALSE(manifold.points[k].distance <= 1.0f);
 }
 

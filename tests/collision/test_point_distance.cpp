@@ -52,13 +52,14 @@ TEST(PointDistance, OfHullAndMeshOfABoxIsThatOfTheBox) {
   view.vertex_count = 8;
   view.face_count = 6;
   for_points(half, [&](const Vec3f& x) {
-    const SolidPoint expected = geometry::point_to_box(x, half);
+    const SolidPoint expected = geometry::Box(half).core_distance(x);
     expect_near(geometry::point_to_hull(x, view), expected, x);
     expect_near(geometry::point_to_mesh(x, mesh, kReach), expected, x);
     // The nearest points are on the surface.
     for (const SolidPoint& p :
          {geometry::point_to_hull(x, view), geometry::point_to_mesh(x, mesh, kReach)})
-      EXPECT_NEAR(geometry::point_to_box(x - p.normal * p.distance, half).distance, 0.0f, 3e-6f);
+      EXPECT_NEAR(geometry::Box(half).core_distance(x - p.normal * p.distance).distance, 0.0f,
+                  3e-6f);
   });
 }
 

@@ -6,7 +6,7 @@
 #include <random>
 #include <vector>
 
-#include "novaphy/collision/geometry/plane_pairs.h"
+#include "novaphy/collision/geometry/shapes/box.h"
 #include "novaphy/dynamics/semi_implicit/rigid_plane_trace.h"
 #include "support/bits.h"
 
@@ -34,7 +34,7 @@ TEST(RigidPlaneTrace, KeepsTheCornersOfTheContactSearchInTheSameSlots) {
     if (k % 5 == 0) box.q = Quatf::identity();  // ties
     const geometry::Plane plane = geometry::plane_of(plane_pose);
     const float reach = k % 3 ? 0.2f : 1e3f;
-    const geometry::Manifold expected = geometry::plane_box(plane, box, half, reach);
+    const geometry::Manifold expected = geometry::Box(half).on_plane(plane, box, reach);
     const CornerSlots<float> kept =
         deepest_corners(WorldPlane<float>{plane.point, plane.normal, 0.0f}, box, half, reach);
     ASSERT_EQ(static_cast<int>(kept.count), expected.count);

@@ -60,6 +60,7 @@ TEXT_HEADERS = {
     "row_scratch.h",
     "row_stack.h",
     "enums.h",
+    "shape_types.h",
     "joint_types.h",
     "shape_pair_rule.h",
     "export.h",

@@ -68,43 +68,41 @@ Transformf checked_pose(const Where& where, const Transformf& xform) {
 
 Vec3f checked_scale(std::string_view function, GeoType type, const Vec3f& scale) {
   check_finite({function, "scale"}, scale);
-  switch (type) {
-    case GeoType::PLANE:
+  switch (shape_traits(type).size) {
+    case ShapeSize::RECTANGLE:
       check_not_negative({function, "scale.x (width)"}, scale.x);
       check_not_negative({function, "scale.y (length)"}, scale.y);
       return {scale.x, scale.y, 0.0f};
-    case GeoType::SPHERE:
+    case ShapeSize::RADIUS:
       check_positive({function, "scale.x (radius)"}, scale.x);
       return {scale.x, 0.0f, 0.0f};
-    case GeoType::CAPSULE:
-    case GeoType::CYLINDER:
-    case GeoType::CONE:
+    case ShapeSize::RADIUS_HEIGHT:
       check_positive({function, "scale.x (radius)"}, scale.x);
       check_positive({function, "scale.y (half_height)"}, scale.y);
       return {scale.x, scale.y, 0.0f};
-    case GeoType::BOX:
+    case ShapeSize::HALF_EXTENTS:
       check_positive({function, "scale.x (hx)"}, scale.x);
       check_positive({function, "scale.y (hy)"}, scale.y);
       check_positive({function, "scale.z (hz)"}, scale.z);
       return scale;
-    case GeoType::ELLIPSOID:
+    case ShapeSize::HALF_AXES:
       check_positive({function, "scale.x (rx)"}, scale.x);
       check_positive({function, "scale.y (ry)"}, scale.y);
       check_positive({function, "scale.z (rz)"}, scale.z);
       return scale;
-    case GeoType::NONE:
-      fail(ErrorKind::Value, function, ": type: expected a shape type, got NONE");
-    case GeoType::MESH:
-    case GeoType::CONVEX_MESH:
+    case ShapeSize::FACTORS:
       check_positive({function, "scale.x"}, scale.x);
       check_positive({function, "scale.y"}, scale.y);
       check_positive({function, "scale.z"}, scale.z);
       return scale;
-    case GeoType::HFIELD:
-      fail(ErrorKind::NotImplemented, function,
-           ": type: HFIELD is not supported; use add_shape_mesh with the triangles of a height "
-           "field");
+    case ShapeSize::NONE:
+      break;
   }
+  require(type != GeoType::HFIELD, ErrorKind::NotImplemented, function,
+          ": type: HFIELD is not supported; use add_shape_mesh with the triangles of a height "
+          "field");
+  require(type != GeoType::NONE, ErrorKind::Value, function,
+          ": type: expected a shape type, got NONE");
   fail(ErrorKind::Value, function, ": type: expected a GeoType, got ", static_cast<int32_t>(type));
 }
 
@@ -140,23 +138,19 @@ Transformf plane_pose(std::string_view function, const Vec4f& plane) {
 }
 
 ShapeBounds shape_bounds(GeoType type, const Vec3f& scale) {
-  switch (type) {
-    case GeoType::SPHERE: {
-      const float r = scale.x;
-      return {r, {-r, -r, -r}, {r, r, r}};
-    }
-    case GeoType::CAPSULE: {
-      const float r = scale.x, end = scale.x + scale.y;
-      return {end, {-r, -r, -end}, {r, r, end}};
-    }
-    case GeoType::CYLINDER:
-    case GeoType::CONE: {
+  const ShapeTraits traits = shape_traits(type);
+  if (traits.is_rounded) {
+    const float r = scale.x, end = scale.x + scale.y;
+    return {end, {-r, -r, -end}, {r, r, end}};
+  }
+  switch (traits.size) {
+    case ShapeSize::RADIUS_HEIGHT: {
       const Vec3f upper = {scale.x, scale.x, scale.y};
       return {math::sqrt(scale.x * scale.x + scale.y * scale.y), -upper, upper};
     }
-    case GeoType::ELLIPSOID:
+    case ShapeSize::HALF_AXES:
       return {math::max(scale.x, math::max(scale.y, scale.z)), -scale, scale};
-    case GeoType::BOX:
+    case ShapeSize::HALF_EXTENTS:
       return {math::length(scale), -scale, scale};
     default:
       break;

@@ -6,28 +6,11 @@ namespace novaphy {
 
 const char* geo_type_name(GeoType type) {
   switch (type) {
-    case GeoType::NONE:
-      return "NONE";
-    case GeoType::PLANE:
-      return "PLANE";
-    case GeoType::HFIELD:
-      return "HFIELD";
-    case GeoType::SPHERE:
-      return "SPHERE";
-    case GeoType::CAPSULE:
-      return "CAPSULE";
-    case GeoType::ELLIPSOID:
-      return "ELLIPSOID";
-    case GeoType::CYLINDER:
-      return "CYLINDER";
-    case GeoType::BOX:
-      return "BOX";
-    case GeoType::MESH:
-      return "MESH";
-    case GeoType::CONE:
-      return "CONE";
-    case GeoType::CONVEX_MESH:
-      return "CONVEX_MESH";
+#define NOVAPHY_NAME(name, ...) \
+  case GeoType::name:           \
+    return #name;
+    NOVAPHY_SHAPE_TYPES(NOVAPHY_NAME)
+#undef NOVAPHY_NAME
   }
   return "unknown";
 }

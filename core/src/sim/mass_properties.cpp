@@ -74,9 +74,9 @@ MassProperties solid_mass(GeoType type, const Vec3d& s, double density) {
 
 // Returns the scale of the hollow inside of a shell with wall thickness t.
 Vec3d hollow(GeoType type, const Vec3d& s, double t) {
-  if (type == GeoType::BOX || type == GeoType::ELLIPSOID) return {s.x - t, s.y - t, s.z - t};
-  if (type == GeoType::CYLINDER || type == GeoType::CONE) return {s.x - t, s.y - t, 0.0};
-  return {s.x - t, s.y, 0.0};
+  const ShapeTraits traits = shape_traits(type);
+  if (traits.is_rounded) return {s.x - t, s.y, 0.0};
+  return {s.x - t, s.y - t, traits.size == ShapeSize::RADIUS_HEIGHT ? 0.0 : s.z - t};
 }
 
 double trace(const Mat33d& a) { return a.m[0][0] + a.m[1][1] + a.m[2][2]; }
@@ -138,7 +138,7 @@ std::array<double, 3> principal_moments(const Mat33d& a) {
 MassProperties shape_mass(std::string_view function, GeoType type, const Vec3f& scale,
                           const ShapeConfig& cfg, const SolidProperties& solid) {
   if (type == GeoType::PLANE || cfg.density == 0.0f) return {};
-  if (type == GeoType::MESH || type == GeoType::CONVEX_MESH) {
+  if (shape_traits(type).size == ShapeSize::FACTORS) {
     MassProperties mass{cfg.density * solid.volume, solid.com, {}};
     mass.inertia = sum(mass.inertia, solid.inertia, cfg.density);
     return mass;

@@ -25,7 +25,7 @@ int32_t ModelBuilder::append_shape(std::string_view name, const ShapeArgs& args,
   detail::check_shape_config(name, cfg);
   if (args.is_static || cfg.is_site) cfg.density = 0.0f;
   SolidProperties solid;
-  if (args.type == GeoType::MESH || args.type == GeoType::CONVEX_MESH) {
+  if (shape_traits(args.type).size == ShapeSize::FACTORS) {
     require(mesh != nullptr, ErrorKind::Value, name, ": type: ", geo_type_name(args.type),
             " needs vertices; use add_shape_mesh or add_shape_convex_hull");
     const bool has_mass = args.body >= 0 && cfg.density > 0.0f &&

@@ -56,10 +56,9 @@ SoftPoint following_point(TraceContext& c, const Int& shape, const ContactBody& 
                                  {detach(at.q.x), detach(at.q.y), detach(at.q.z), detach(at.q.w)}};
   const Vec3<Real> in_body = transform_point(inverse(body.pose), x);
   const Vec3<Real> in_shape = transform_point(inverse(xform), in_body);
-  const SurfaceDistance<Real> surface = static_shape_distance<true>(
-      StaticShapeType<Bool>{is(GeoType::BOX), is(GeoType::SPHERE), is(GeoType::CAPSULE),
-                            is(GeoType::CYLINDER), is(GeoType::CONE), is(GeoType::ELLIPSOID)},
-      constant(Columns(c, "shape_scale", &shape).vec3()), in_shape);
+  const SurfaceDistance<Real> surface =
+      static_shape_distance<true>(static_shape_type<GeoType, Bool>(is),
+                                  constant(Columns(c, "shape_scale", &shape).vec3()), in_shape);
   // Hulls and meshes are treated as the half space at the point, whose normal rotates with the
   // body.
   const Quat<Real>& q = body.pose.q;

@@ -16,15 +16,11 @@
 
 namespace novaphy::geometry {
 
-inline bool is_convex_type(GeoType type) {
-  return has_closed_point_distance(type) || type == GeoType::ELLIPSOID ||
-         type == GeoType::CONVEX_MESH;
-}
-
 // Requires type(a) <= type(b). The result is in the frame of A.
 inline Manifold collide_ordered(const ShapePair& pair, float gap) {
   const GeoType a = pair.a->type, b = pair.b->type;
-  if (a == GeoType::SPHERE && has_closed_point_distance(b)) return collide_sphere(pair, gap);
+  if (a == GeoType::SPHERE && has_trait<&ShapeTraits::has_closed_distance>(b))
+    return collide_sphere(pair, gap);
   if (a == GeoType::CAPSULE && b == GeoType::CAPSULE) return collide_capsules(pair, gap);
   if (a == GeoType::CAPSULE && b == GeoType::BOX) return collide_capsule_box(pair, gap);
   if (a == GeoType::BOX && b == GeoType::BOX) return collide_boxes(pair, gap);
@@ -35,7 +31,8 @@ inline Manifold collide_ordered(const ShapePair& pair, float gap) {
 // a to b.
 inline Manifold collide(const Shape& a, const Transformf& pose_a, const Shape& b,
                         const Transformf& pose_b, float gap) {
-  if (!is_convex_type(a.type) || !is_convex_type(b.type)) return {};
+  constexpr auto kConvex = &ShapeTraits::is_convex;
+  if (!has_trait<kConvex>(a.type) || !has_trait<kConvex>(b.type)) return {};
   const bool swap = b.type < a.type;
   const Transformf& first = swap ? pose_b : pose_a;
   const Transformf relative = relative_pose(first, swap ? pose_a : pose_b);

@@ -33,7 +33,7 @@ struct Shape {
 };
 
 inline float core_radius(const Shape& shape) {
-  return shape.type == GeoType::SPHERE || shape.type == GeoType::CAPSULE ? shape.scale.x : 0.0f;
+  return has_trait<&ShapeTraits::is_rounded>(shape.type) ? shape.scale.x : 0.0f;
 }
 
 // Returns the pose of B in the frame of A. The positions are subtracted first, which keeps the

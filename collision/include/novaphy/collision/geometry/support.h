@@ -8,7 +8,7 @@
 // Collision Detection (2005), 9.5.
 #pragma once
 
-#include "novaphy/collision/geometry/shape.h"
+#include "novaphy/collision/geometry/shapes/list.h"
 
 namespace novaphy::geometry {
 
@@ -40,45 +40,11 @@ inline int32_t hull_support_vertex(const HullView& hull, const Vec3f& d) {
   return best;
 }
 
-// Returns the horizontal part of d, scaled to `length`. The result is zero if d is along the axis.
-inline Vec3f radial(const Vec3f& d, float length) {
-  const float rho = math::sqrt(d.x * d.x + d.y * d.y);
-  if (!(rho > 0.0f)) return {};
-  return {d.x * (length / rho), d.y * (length / rho), 0.0f};
-}
-
-inline Vec3f cone_support(float radius, float half_height, const Vec3f& d) {
-  const Vec3f rim = radial(d, radius) + Vec3f{0.0f, 0.0f, -half_height};
-  const Vec3f apex = {0.0f, 0.0f, half_height};
-  return math::dot(apex, d) > math::dot(rim, d) ? apex : rim;
-}
-
-inline Vec3f ellipsoid_support(const Vec3f& axes, const Vec3f& d) {
-  const Vec3f s = {axes.x * d.x, axes.y * d.y, axes.z * d.z};
-  const float l = math::length(s);
-  if (!(l > 0.0f)) return {axes.x, 0.0f, 0.0f};
-  return {axes.x * (s.x / l), axes.y * (s.y / l), axes.z * (s.z / l)};
-}
-
 // Returns the support point in the frame of the shape.
 NOVAPHY_OUT_OF_LINE Vec3f core_support(const Shape& shape, const Vec3f& d) {
-  const Vec3f s = shape.scale;
-  switch (shape.type) {
-    case GeoType::CAPSULE:
-      return {0.0f, 0.0f, d.z < 0.0f ? -s.y : s.y};
-    case GeoType::BOX:
-      return {d.x < 0.0f ? -s.x : s.x, d.y < 0.0f ? -s.y : s.y, d.z < 0.0f ? -s.z : s.z};
-    case GeoType::CYLINDER:
-      return radial(d, s.x) + Vec3f{0.0f, 0.0f, d.z < 0.0f ? -s.y : s.y};
-    case GeoType::CONE:
-      return cone_support(s.x, s.y, d);
-    case GeoType::ELLIPSOID:
-      return ellipsoid_support(s, d);
-    case GeoType::CONVEX_MESH:
-      return shape.hull.vertices[hull_support_vertex(shape.hull, d)];
-    default:
-      return {};  // the center of a sphere
-  }
+  if (shape.type == GeoType::CONVEX_MESH)
+    return shape.hull.vertices[hull_support_vertex(shape.hull, d)];
+  return with_solid(shape.type, shape.scale, [&](const auto& solid) { return solid.support(d); });
 }
 
 // A point of the Minkowski difference, and the points of A and B that give it, in the frame of A.

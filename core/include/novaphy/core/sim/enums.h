@@ -5,35 +5,13 @@
 #include <cstdint>
 
 #include "novaphy/core/export.h"
+#include "novaphy/core/sim/shape_types.h"
 #include "novaphy/math/types.h"
 
 namespace novaphy {
 
 enum class Axis : int32_t { X = 0, Y = 1, Z = 2 };
 
-// The values of Model::shape_type. `shape_scale` by type:
-//   PLANE    (width, length, 0): local +z is the normal; infinite unless both are > 0
-//   SPHERE   (radius, 0, 0)
-//   CAPSULE  (radius, half_height, 0): along local z, half_height excludes the caps
-//   ELLIPSOID (rx, ry, rz): half axes
-//   CYLINDER (radius, half_height, 0): along local z
-//   BOX      (hx, hy, hz): half extents
-//   CONE     (radius, half_height, 0): along local z, apex at +half_height
-//   MESH, CONVEX_MESH (x, y, z): factors of the vertices of Model::mesh_vertices
-// HFIELD is reserved: adding one throws ErrorKind::NotImplemented.
-enum class GeoType : int32_t {
-  NONE = 0,
-  PLANE = 1,
-  HFIELD = 2,
-  SPHERE = 3,
-  CAPSULE = 4,
-  ELLIPSOID = 5,
-  CYLINDER = 6,
-  BOX = 7,
-  MESH = 8,
-  CONE = 9,
-  CONVEX_MESH = 10,
-};
 // Returns "PLANE" and so on, or "unknown" for any other value.
 NOVAPHY_CORE_API const char* geo_type_name(GeoType type);
 

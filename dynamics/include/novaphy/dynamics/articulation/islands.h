@@ -95,16 +95,8 @@ inline int32_t find_kept(const KeptContact* kept, int32_t count, int32_t& next,
 // Returns whether the point of a shape that touches a plane is fixed to the shape: a sphere's
 // center, a capsule's end or a corner.
 inline bool meets_planes_in_points(int32_t shape_type) {
-  switch (static_cast<GeoType>(shape_type)) {
-    case GeoType::SPHERE:
-    case GeoType::CAPSULE:
-    case GeoType::BOX:
-    case GeoType::CONVEX_MESH:
-    case GeoType::MESH:
-      return true;
-    default:
-      return false;
-  }
+  const ShapeTraits traits = shape_traits(static_cast<GeoType>(shape_type));
+  return traits.plane_contacts > 0 && !traits.is_curved;
 }
 // Returns IslandContact::follows: whether a point fixed to its shape touches a plane of the world.
 inline bool follows_plane(const ContactRows& c, const int32_t* shape_type, int32_t contact,

@@ -3,7 +3,7 @@
 // and adds the wrenches in order.
 //
 // Points: the center of a sphere, the ends of a capsule (+z first), and the four deepest corners of
-// a box. Order and selection of corners are those of geometry::plane_box
+// a box. Order and selection of corners are those of geometry::Box::on_plane
 // (collision/geometry/plane_pairs.h). X is the pose of the shape and n the normal of the plane. The
 // contact of a point p of the shape is at P = X p - n (radius + margin), with the gap
 //   d = dot(n, P - p_plane) - margin_plane

@@ -141,7 +141,10 @@ def shape_names(model: _core.Model) -> list[str]:
 
 
 def show_robot(args: argparse.Namespace) -> str:
-    """Show a .urdf or .xml (MJCF) file until the window is closed; return a description of it."""
+    """Show the robot of a .urdf or .xml (MJCF) file until the window is closed.
+
+    Return a text with the counts of bodies, shapes and joints.
+    """
     builder = _core.ModelBuilder()
     is_urdf = Path(args.file).suffix.lower() == ".urdf"
     add = builder.add_urdf if is_urdf else builder.add_mjcf

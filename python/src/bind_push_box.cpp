@@ -48,7 +48,7 @@ void bind_operator(py::module_& m, const char* name, Operator f, const char* doc
 void bind_push_box(py::module_& m) {
   bind_operator(
       m, "integrate_push_box_generated", &diff::integrate_push_box_generated,
-      "Simulates one step of a box on a line that a sphere pushes toward larger x. Returns (box_x, "
+      "Simulates one step of a box that a sphere pushes along a line to larger x. Returns (box_x, "
       "box_v) {1} (m, m/s) after dt (s), by symplectic Euler.\n\nbox_x, box_v, pusher_x, pusher_v: "
       "positions (m) and velocities (m/s), tensors {1}.\nmass, half_extent, pusher_radius, ke, kd, "
       "friction, dt: kg, m, m, N/m, N s/m, 1 and s; numbers or tensors {1}.\nsoftness, "

@@ -81,8 +81,8 @@ class SelfContact {
 
  private:
   using Vec3d = geometry::Vec3d;
-  // The plane normal.x = offset between the two features of a pair. For points x of the first
-  // feature normal.x exceeds the offset.
+  // A plane that separates the two features of a pair: the points x with dot(normal, x) = offset.
+  // The first feature lies where dot(normal, x) exceeds the offset.
   struct Plane {
     Vec3d normal{};
     double offset = 0.0;

@@ -155,9 +155,11 @@ class Mesh:
 
 
 class Instances:
-    """Copies of a mesh: poses {n, 7} of bodies, with local poses, scales {n, 4} and colors.
+    """Copies of a mesh that are fixed to bodies.
 
-    A color is red, green, blue and the contrast of a checker pattern on the surface (0: none).
+    Each copy has the pose {7} of its body, a local pose {7} in the frame of the body, a scale and
+    a color {4}. A color is red, green, blue and the contrast of a checker pattern on the surface
+    (0: none).
     """
 
     fields = ("poses", "local", "scales", "colors")

@@ -1,8 +1,9 @@
-// A box on a line that a sphere pushes, as differentiable operators: one step, and many steps as
+// Differentiable operators for a sphere that pushes a box along a line: one step, and many steps as
 // one operation. dynamics/semi_implicit/push_box_law.h has the law.
 //
-// The gradients of the law are exact, in all inputs. The law itself is a surrogate of contact: it
-// is smooth, acts at a distance of a few `softness`, and does not push back on the pusher.
+// The gradients of the law are exact, in all inputs. The law itself is a surrogate of contact. The
+// force is smooth, acts up to a distance of a few times the length `softness`, and has no reaction
+// on the sphere.
 #pragma once
 
 #include <utility>

@@ -1,4 +1,4 @@
-// A box on a line that a sphere pushes: one axis, smooth penalty contact, symplectic Euler.
+// A sphere pushes a box along a line: one axis, smooth penalty contact, symplectic Euler.
 //
 //   gap = x - h - r - x_p,  z = -gap / s
 //   N   = ke s softplus(z) + kd sigmoid(z) v_s softplus((v_p - v) / v_s)      >= 0

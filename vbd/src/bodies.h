@@ -18,6 +18,7 @@
 #include "novaphy/core/sim/index_rows.h"
 #include "novaphy/core/sim/model.h"
 #include "novaphy/core/sim/sim_state.h"
+#include "novaphy/vbd/bodies/joint_start_law.h"
 #include "novaphy/vbd/solver_vbd.h"
 
 namespace novaphy::vbd {
@@ -43,6 +44,19 @@ struct alignas(16) JointMemory {
   float is_used = 0.0f;  // 0: no previous step
   float axis[4] = {};
 };
+
+// Returns a joint at the start of a step. Null control: the defaults of the model.
+JointStart<float> joint_start(const Model& m, const Transformf* q, const SpatialVectorf* qd,
+                              const Control* control, size_t joint);
+
+// Which parts of a drive act: the spring to the target, and the rate of the target.
+struct DriveUse {
+  bool spring = false, rate = false;
+};
+DriveUse drive_use(const Model& m, size_t dof);
+// Reads the force and the drive of an axis.
+void put_drive_of(const Model& m, const Control* control, size_t dof, size_t coordinate,
+                  JointAxis<float>& to);
 
 // Lists of integers, stored one after the other. The list of key k is items[begin[k]] to
 // items[begin[k + 1] - 1].
@@ -182,14 +196,9 @@ class Bodies {
   void put_contact(const SimState& in, const Contacts& contacts, size_t slot);
   void recall_contact(const Contacts& contacts, size_t slot, float approach, VbdBodyContact& to);
   void keep_contacts(const Contacts* contacts);
-  // bodies_joints.cpp, bodies_axis.cpp, bodies_drives.cpp
+  // bodies_joints.cpp
   void put_joints(const SimState& in, const Control* control);
-  void put_axis(size_t joint, const SimState& in, const Control* control, VbdBodyJoint& to);
-  void put_distance(size_t dof, VbdBodyJoint& to) const;
-  void put_drive(size_t dof, size_t coordinate, const Control* control, VbdBodyJoint& to) const;
-  void put_resistance(size_t dof, float rate, VbdBodyJoint& to) const;
-  float joint_rate(const SimState& in, const VbdBodyJoint& j) const;
-  float joint_coordinate(size_t joint, const VbdBodyJoint& j) const;
+  float nearest_coordinate(size_t joint, const VbdBodyJoint& j) const;
   void keep_joints(const SimState& in);
   void put_graph();
   void move_free_bodies();

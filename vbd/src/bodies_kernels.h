@@ -47,23 +47,10 @@ NOVAPHY_ROW_KERNEL(vbd_body_predict, VbdBodyPredictArguments) {
     a.motion[row] = motion;
     return;
   }
-  const Quatf q = a.q[row].q;
   const int32_t w = a.world[row];
   const Vec3f g = a.gravity[w < 0 ? a.last_world.value : w];
-  const float by_h2 = 1.0f / (h * h);
-  body.target = qd.linear * h + (g + f.linear * a.inv_mass[row]) * (h * h);
-  body.mass_by_h2 = a.mass[row] * by_h2;
-  const Vec3f turning = rotate(q, vbd::turn_freely(a.inertia[row], rotate_inverse(q, qd.angular),
-                                                   rotate_inverse(q, f.angular), h));
-  body.target_turned = vbd::exp_rotation(turning * h);
-  const SpatialInertiaf of = rotate(multiply(body.target_turned, q),
-                                    spatial_inertia(0.0f, Vec3f{}, scale(a.inertia[row], by_h2)));
-  body.xx = of.xx;
-  body.yy = of.yy;
-  body.zz = of.zz;
-  body.xy = of.xy;
-  body.xz = of.xz;
-  body.yz = of.yz;
+  body = vbd::inertial_target(
+      vbd::BodyStart<float>{a.q[row].q, qd, f, g, a.mass[row], a.inv_mass[row], a.inertia[row]}, h);
   motion.moved = body.target;
   motion.turned = body.target_turned;
   if (a.guess.value == 1) motion = {};

@@ -37,15 +37,6 @@ struct BodySide {
   Mat33f inv_inertia{};
 };
 
-// Sets a row along the axis of a joint, and clamps its multiplier to the bounds.
-inline void put_row(VbdAxisRow& row, float stiffness, float rest, float lower, float upper) {
-  row.stiffness = stiffness;
-  row.rest = rest;
-  row.lower = lower;
-  row.upper = upper;
-  row.lam = std::clamp(row.lam, lower, upper);
-}
-
 inline float metric(float dt, float mobility) { return kMetric / (dt * dt * mobility); }
 
 }  // namespace novaphy::vbd

@@ -52,6 +52,18 @@ struct Dual {
     const S root = sqrt(a.v), zero{};
     return {root, a.d * select(root > zero, S(0.5f) / root, zero)};
   }
+  friend Dual sin(const Dual& a) {
+    const auto of = math::functions_detail::sin_cos(a.v);
+    return {of.sin, a.d * of.cos};
+  }
+  friend Dual cos(const Dual& a) {
+    const auto of = math::functions_detail::sin_cos(a.v);
+    return {of.cos, -(a.d * of.sin)};
+  }
+  friend Dual fma(const Dual& a, const Dual& b, const Dual& c) {
+    using math::fma;
+    return {fma(a.v, b.v, c.v), (a.d * b.v + b.d * a.v) + c.d};
+  }
   friend Dual atan2(const Dual& y, const Dual& x) {
     const auto angle = math::functions_detail::atan2_value(y.v, x.v);
     return {angle.value, y.d * angle.dy + x.d * angle.dx};

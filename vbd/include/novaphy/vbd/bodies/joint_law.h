@@ -40,28 +40,36 @@ constexpr int kVbdAxisRows = 4;  // drive, damping, limit, dry friction
 enum class VbdBodyJointKind : int32_t { Ball, Fixed, Revolute, Prismatic, Distance, Rod };
 
 // A compliant row along or about the joint axis. The row does not act if stiffness is 0.
-struct VbdAxisRow {
-  float stiffness = 0.0f, rest = 0.0f, lower = 0.0f, upper = 0.0f, lam = 0.0f, rho = 0.0f;
+template <class T>
+struct VbdAxisRowOf {
+  T stiffness{}, rest{}, lower{}, upper{}, lam{};
+  float rho = 0.0f;
 };
+using VbdAxisRow = VbdAxisRowOf<float>;
 
 // The stiffness of a row (infinity: hard) and its penalty stiffness.
-struct VbdJointRow {
-  float stiffness = 0.0f, rho = 0.0f;
+template <class T>
+struct VbdJointRowOf {
+  T stiffness{};
+  float rho = 0.0f;
 };
+using VbdJointRow = VbdJointRowOf<float>;
 
-struct alignas(16) VbdBodyJoint {
+template <class T>
+struct alignas(16) VbdBodyJointOf {
   using Element = Vec4f;
   int32_t body[2] = {-1, -1};
   VbdBodyJointKind kind = VbdBodyJointKind::Ball;
-  float force = 0.0f;  // given force along the axis (N), or moment about it (N m)
-  Vec3f arm[2] = {}, gap{}, keep{}, axis[2] = {}, keep_turn{};
-  Quatf turned = Quatf::identity();
-  Vec3f lam{}, lam_turn{};
-  VbdJointRow points[3] = {}, turns[3] = {};
-  float coordinate = 0.0f;
-  VbdAxisRow rows[kVbdAxisRows] = {};
+  T force{};  // given force along the axis (N), or moment about it (N m)
+  Vec3<T> arm[2] = {}, gap{}, keep{}, axis[2] = {}, keep_turn{};
+  Quat<T> turned = Quat<T>::identity();
+  Vec3<T> lam{}, lam_turn{};
+  VbdJointRowOf<T> points[3] = {}, turns[3] = {};
+  T coordinate{};
+  VbdAxisRowOf<T> rows[kVbdAxisRows] = {};
   float in_trees = 1.0f;  // scales the stiffness in the blocks of trees (bodies_kernels.h)
 };
+using VbdBodyJoint = VbdBodyJointOf<float>;
 
 namespace vbd {
 
@@ -75,21 +83,27 @@ struct JointForce {
   int count = 0;
 };
 
-inline Vec3f turned_by(const Quatf& q, const Vec3f& v) { return v + rotate_change(q, v); }
+template <class T>
+Vec3<T> turned_by(const Quat<T>& q, const Vec3<T>& v) {
+  return v + rotate_change(q, v);
+}
 
 // The constraint errors and the coordinate of a joint, for given motions of its bodies.
-struct JointErrors {
-  Vec3f arm[2], axis, raw, point, turn;
-  float coordinate = 0.0f;
-  Quatf off = Quatf::identity();  // R_B E R_A^-1
-  Vec3f th{};                     // ROD: log(off)
-  Perpendicular along;            // the directions of the rows of points and rotations
+template <class T>
+struct JointErrorsOf {
+  Vec3<T> arm[2], axis, raw, point, turn;
+  T coordinate{};
+  Quat<T> off = Quat<T>::identity();  // R_B E R_A^-1
+  Vec3<T> th{};                       // ROD: log(off)
+  PerpendicularOf<T> along;           // the directions of the rows of points and rotations
 };
+using JointErrors = JointErrorsOf<float>;
 
-inline JointErrors joint_errors(const VbdBodyJoint& j, const VbdBodyMotion& a,
-                                const VbdBodyMotion& b) {
-  JointErrors e;
-  const Vec3f change[2] = {rotate_change(a.turned, j.arm[0]), rotate_change(b.turned, j.arm[1])};
+template <class T>
+JointErrorsOf<T> joint_errors(const VbdBodyJointOf<T>& j, const VbdBodyMotionOf<T>& a,
+                              const VbdBodyMotionOf<T>& b) {
+  JointErrorsOf<T> e;
+  const Vec3<T> change[2] = {rotate_change(a.turned, j.arm[0]), rotate_change(b.turned, j.arm[1])};
   e.raw = j.gap + ((b.moved + change[1]) - (a.moved + change[0]));
   e.arm[1] = j.arm[1] + change[1];
   e.arm[0] = (j.arm[0] + change[0]) + e.raw;  // from the center of A to the anchor of B
@@ -104,14 +118,14 @@ inline JointErrors joint_errors(const VbdBodyJoint& j, const VbdBodyMotion& a,
     e.axis = math::normalize(e.raw);
   } else if (j.kind != VbdBodyJointKind::Ball) {
     e.off = math::multiply(math::multiply(b.turned, j.turned), math::conjugate(a.turned));
-    const float sign = e.off.w < 0.0f ? -2.0f : 2.0f;
+    const T sign(e.off.w < T(0.0f) ? -2.0f : 2.0f);
     if (is_rod) e.th = log_rotation(e.off);
     e.turn = is_rod ? e.th - turned_by(a.turned, j.keep_turn)
-                    : Vec3f{e.off.x, e.off.y, e.off.z} * sign - j.keep_turn;
+                    : Vec3<T>{e.off.x, e.off.y, e.off.z} * sign - j.keep_turn;
     e.coordinate = math::dot(e.axis, e.raw);
   }
   if (is_rod) {
-    const Vec3f x = turned_by(a.turned, j.axis[1]);
+    const Vec3<T> x = turned_by(a.turned, j.axis[1]);
     e.along = {{x, math::cross(e.axis, x), e.axis}};
   } else {
     e.along = perpendicular(e.axis);
@@ -120,7 +134,8 @@ inline JointErrors joint_errors(const VbdBodyJoint& j, const VbdBodyMotion& a,
 }
 
 // Returns the moment on B of the force m along the error of the rotation.
-inline Vec3f joint_moment(const VbdBodyJoint& j, const JointErrors& e, const Vec3f& m) {
+template <class T>
+Vec3<T> joint_moment(const VbdBodyJointOf<T>& j, const JointErrorsOf<T>& e, const Vec3<T>& m) {
   return j.kind == VbdBodyJointKind::Rod ? inverse_left_jacobian_transposed(e.off, e.th, m) : m;
 }
 
@@ -146,37 +161,67 @@ inline float row_force(const VbdJointRow& row, const Vec3f& t, const Vec3f& erro
   return softness(row) * math::dot(t, error * row.rho + lam);
 }
 
+// The forces of the rows, with the signs of their errors, and the force along the axis.
+template <class T>
+struct JointRowForces {
+  T points[3] = {}, turns[3] = {}, axis{};
+};
+
+// Returns the force and the moment on B, at the anchor of B.
+template <class T>
+SpatialVector<T> joint_wrench(const VbdBodyJointOf<T>& j, const JointErrorsOf<T>& e,
+                              const JointRowForces<T>& rows) {
+  SpatialVector<T> f;
+  for (int k = 0; k < point_rows(j.kind); ++k) f.linear = f.linear - e.along.t[k] * rows.points[k];
+  for (int k = 0; k < turn_rows(j.kind); ++k)
+    f.angular = f.angular - joint_moment(j, e, e.along.t[k]) * rows.turns[k];
+  Vec3<T>& along = j.kind == VbdBodyJointKind::Revolute ? f.angular : f.linear;
+  along = along + e.axis * rows.axis;
+  return f;
+}
+
+// Returns the force and the moment of a joint about the center of body A (side 0) or B (side 1).
+template <class T>
+SpatialVector<T> wrench_on(const SpatialVector<T>& of_joint, const Vec3<T>& arm, int side) {
+  const T sign(side == 0 ? -1.0f : 1.0f);
+  const Vec3<T> force = of_joint.linear * sign;
+  return {force, math::cross(arm, force) + of_joint.angular * sign};
+}
+
 inline JointForce joint_force(const VbdBodyJoint& j, const VbdBodyMotion& a,
                               const VbdBodyMotion& b) {
   using namespace math;
   JointForce f;
+  JointRowForces<float> of;
   const JointErrors e = joint_errors(j, a, b);
   for (int side = 0; side < 2; ++side) f.arm[side] = e.arm[side];
   for (int k = 0; k < point_rows(j.kind); ++k) {
     const VbdJointRow& row = j.points[k];
     const Vec3f& t = e.along.t[k];
-    f.force = f.force - t * row_force(row, t, e.point, j.lam);
+    of.points[k] = row_force(row, t, e.point, j.lam);
     f.rows[f.count++] = {softness(row) * row.rho, t, {cross(e.arm[0], t), cross(e.arm[1], t)}};
   }
   for (int k = 0; k < turn_rows(j.kind); ++k) {
     const VbdJointRow& row = j.turns[k];
     const Vec3f t = joint_moment(j, e, e.along.t[k]);
-    f.moment = f.moment - t * row_force(row, e.along.t[k], e.turn, j.lam_turn);
+    of.turns[k] = row_force(row, e.along.t[k], e.turn, j.lam_turn);
     f.rows[f.count++] = {softness(row) * row.rho, {}, {t, t}};
   }
   const bool turns = j.kind == VbdBodyJointKind::Revolute;
-  float along = j.force;
+  of.axis = j.force;
   for (const VbdAxisRow& row : j.rows) {
     if (row.stiffness == 0.0f) continue;
     const float s = softness(row), k = s * row.rho;
     const float wants = k * (row.rest - e.coordinate) + s * row.lam;
-    along = along + min(max(wants, row.lower), row.upper);
+    of.axis = of.axis + min(max(wants, row.lower), row.upper);
     if (!(wants > row.lower && wants < row.upper)) continue;
     f.rows[f.count++] =
         turns ? JointRow{k, {}, {e.axis, e.axis}}
               : JointRow{k, e.axis, {cross(e.arm[0], e.axis), cross(e.arm[1], e.axis)}};
   }
-  (turns ? f.moment : f.force) = (turns ? f.moment : f.force) + e.axis * along;
+  const SpatialVectorf wrench = joint_wrench(j, e, of);
+  f.force = wrench.linear;
+  f.moment = wrench.angular;
   return f;
 }
 
@@ -205,9 +250,9 @@ void add_joint(BodyBlock& block, const VbdBodyJoint& j, int side, const VbdBodyM
                const VbdBodyMotion& b, const Row& row) {
   using namespace math;
   const JointForce f = joint_force(j, a, b);
-  const float sign = side == 0 ? -1.0f : 1.0f;
-  const Vec3f force = f.force * sign, arm = f.arm[side];
-  add_force(block, force, cross(arm, force) + f.moment * sign);
+  const SpatialVectorf wrench = wrench_on({f.force, f.moment}, f.arm[side], side);
+  const Vec3f force = wrench.linear, arm = f.arm[side];
+  add_force(block, force, wrench.angular);
   if (!with_stiffness) return;
   for (int k = 0; k < f.count; ++k)
     row(f.rows[k].k, f.rows[k].linear, f.rows[k].angular[side], f.rows[k].angular[1 - side]);

@@ -61,12 +61,9 @@ def soft() -> novaphy.Model:
     return model
 
 
-def soft_for_vbd() -> novaphy.Model:
-    model = soft()
-    for name in ("kf", "restitution"):
-        if name == "kf":
-            model.soft_contact_kf = 1000.0
-            model.shape_material_kf.assign(0 * model.shape_material_kf.numpy() + 1000.0)
+def for_vbd(model: novaphy.Model) -> novaphy.Model:
+    model.soft_contact_kf = 1000.0
+    model.shape_material_kf.assign(0 * model.shape_material_kf.numpy() + 1000.0)
     return model
 
 
@@ -189,8 +186,9 @@ SCENES = {
         lambda: bodies(True), featherstone, "found", False, follows=("state.body_q",)
     ),
     "featherstone, no contacts": Scene(lambda: bodies(True), featherstone, "none", False),
-    "vbd": Scene(soft_for_vbd, vbd("unrolled"), "given", True, dt=5e-3),
-    "vbd, implicit": Scene(soft_for_vbd, vbd("implicit"), "given", True, dt=5e-3),
+    "vbd": Scene(lambda: for_vbd(soft()), vbd("unrolled"), "given", True, dt=5e-3),
+    "vbd, implicit": Scene(lambda: for_vbd(soft()), vbd("implicit"), "given", True, dt=5e-3),
+    "vbd, bodies": Scene(lambda: for_vbd(bodies(False)), vbd("implicit"), "none", True, dt=5e-3),
 }
 
 

@@ -159,6 +159,9 @@ TESTS: dict[str, Callable[[], None] | str] = {
     "`SolverVBD` on a device": (
         "test_vbd_guide.py::test_a_row_of_the_table_of_devices_is_as_it_says"
     ),
+    "in `DiffSolverVBD`: contacts": (
+        "test_avbd_gradients.py::test_what_has_no_gradient_is_refused_by_name"
+    ),
     "in `DiffSolverVBD`, and in `SolverVBD`": (
         "test_avbd.py::test_what_rows_do_not_do_is_refused_by_name"
     ),

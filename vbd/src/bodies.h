@@ -21,6 +21,10 @@
 #include "novaphy/vbd/bodies/joint_start_law.h"
 #include "novaphy/vbd/solver_vbd.h"
 
+namespace novaphy {
+struct VbdBodySolution;
+}
+
 namespace novaphy::vbd {
 
 // The multipliers of a contact from the previous step. The next step finds them by the shapes and
@@ -172,6 +176,14 @@ class Bodies {
   // memory.
   void finish(const SimState& in, const SimState& out, const Contacts* contacts);
   void reset() { memory_.zero(); }
+  // Runs one iteration of a step whose solution is wanted. A row along a joint axis that leaves one
+  // of its two bounds, as dry friction can, gets a lower penalty stiffness. Such rows could otherwise
+  // jump to and fro without end.
+  void iterate_to_solution();
+  // Returns how far the motions are from the solution, without contacts. The values are those of
+  // the worst tree. The norms weigh moments by the inverse inertia.
+  VbdResidual residual() const;
+  VbdBodySolution solution() const;
   // See SolverVBD::joint_forces.
   std::vector<SpatialVectorf> joint_forces() const;
   // Returns the rows of 4 floats that the solver carries to the next step: rows of the particles,

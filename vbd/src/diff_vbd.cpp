@@ -4,6 +4,7 @@
 #include <cstring>
 #include <utility>
 
+#include "diff_vbd_bodies.h"
 #include "diff_vbd_step.h"
 #include "element_arrays.h"
 #include "novaphy/core/error.h"
@@ -35,16 +36,17 @@ void keep_velocity_as(const nova::Operand& qd, const Tensor& rows) {
 }  // namespace
 
 DiffSolverVBD::DiffSolverVBD(std::shared_ptr<const Model> model, const DiffVbdOptions& options)
-    : DiffSolverBase(std::move(model)),
-      options_(options),
-      steps_(std::make_shared<DifferentiableVbd>(
-          this->model(),
-          VbdOptions{.iterations = options.iterations,
-                     .friction_epsilon = options.friction_epsilon,
-                     .initial_guess = options.initial_guess,
-                     .coarse = options.coarse,
-                     .lhs_regularization = options.lhs_regularization},
-          options.gradient)) {
+    : DiffSolverBase(std::move(model)), options_(options) {
+  const VbdOptions of_step = {.iterations = options.iterations,
+                              .friction_epsilon = options.friction_epsilon,
+                              .initial_guess = options.initial_guess,
+                              .coarse = options.coarse,
+                              .lhs_regularization = options.lhs_regularization};
+  if (this->model()->body_count() > 0) {
+    bodies_ = std::make_shared<DifferentiableBodies>(this->model(), of_step, options.gradient);
+  } else {
+    steps_ = std::make_shared<DifferentiableVbd>(this->model(), of_step, options.gradient);
+  }
   if (looks_back())
     last_velocity_ =
         DeviceArray<Vec4f>(static_cast<size_t>(this->model()->particle_count()), device());
@@ -53,6 +55,7 @@ DiffSolverVBD::DiffSolverVBD(std::shared_ptr<const Model> model, const DiffVbdOp
 void DiffSolverVBD::reset() {
   const ExclusiveUse::Scope scope = use("DiffSolverVBD.reset");
   recorded_velocity_ = {};
+  if (bodies_ != nullptr) bodies_->reset();
   if (last_velocity_.rows() == 0) return;
   const nova::NoGrad no_grad;
   if (nova::OpList* capture = nova::current_capture()) capture->uses(in_use());
@@ -150,41 +153,34 @@ GradientInfo info_of(GradientCounts counts, const VbdGradientInfo& of, bool impl
 struct DiffSolverVBD::Witness : GradientWitness {
   std::shared_ptr<const Model> model;
   std::shared_ptr<const DifferentiableVbd> steps;
+  std::shared_ptr<const DifferentiableBodies> bodies;
   bool implicit;
   GradientNotes notes;
-  Witness(std::shared_ptr<const Model> m, std::shared_ptr<const DifferentiableVbd> s, bool i)
-      : model(std::move(m)), steps(std::move(s)), implicit(i) {}
+  Witness(std::shared_ptr<const Model> m, std::shared_ptr<const DifferentiableVbd> s,
+          std::shared_ptr<const DifferentiableBodies> b, bool i)
+      : model(std::move(m)), steps(std::move(s)), bodies(std::move(b)), implicit(i) {}
   GradientInfo info() const override {
-    return info_of(notes.counts(*model), steps->info(), implicit);
+    return info_of(notes.counts(*model), steps ? steps->info() : bodies->info(), implicit);
   }
   const char* without_record() const override {
+    if (bodies != nullptr) return "DiffSolverVBD with bodies";
     if (!is_on_host(*model)) return "DiffSolverVBD on a device";
     const bool all_stored = !notes.chain().empty() || notes.counts(*model).steps == 0;
     return all_stored ? nullptr : "DiffSolverVBD with checkpoints";
   }
 };
 
-void DiffSolverVBD::note_step(const RecordedStep& step, const SimState& in, const SimState& out,
-                              bool keeps) {
-  NotedStep noted;
-  noted.start = in.particle_q.range()->data();
-  noted.end = out.particle_q.range()->data();
-  noted.q = out.particle_q;
-  noted.qd = out.particle_qd;
-  noted.body_q = in.body_q;
-  noted.body_qd = in.body_qd;
-  noted.contacts = step.contacts;
-  noted.soft = true;
+void DiffSolverVBD::note_step(NotedStep noted, bool keeps) {
   noted.slip = options_.friction_epsilon;
   witness_on_tape(witness_, [this] {
-    return std::make_shared<Witness>(model(), steps_, options_.gradient.implicit);
+    return std::make_shared<Witness>(model(), steps_, bodies_, options_.gradient.implicit);
   })->notes.add_to_all(*model(), noted, keeps);
   notes_.add(*model(), std::move(noted), keeps);
 }
 
 DiffVbdGradientInfo DiffSolverVBD::gradient_info() const {
   check_replays();
-  const VbdGradientInfo of = steps_->info();
+  const VbdGradientInfo of = last_info();
   return {info_of(notes_.counts(*model()), of, options_.gradient.implicit),
           of.primal,
           of.linear_residual,
@@ -240,6 +236,7 @@ void DiffSolverVBD::step(SimState& state_in, SimState& state_out, const Control*
   inputs.control = control;
   inputs.contacts = contacts;
   inputs.forces = nova::operand_of(state_in.particle_f);
+  inputs.body_forces = nova::operand_of(state_in.body_f);
   if (targets != nullptr && kinematic != 0) inputs.targets = nova::operand_of(*targets);
   inputs.dt = dt;
   record_step(state_in, state_out, inputs, {});
@@ -256,7 +253,7 @@ void DiffSolverVBD::begin() {
 bool DiffSolverVBD::begin_rollout(const RolloutInputs&) {
   check_replays();
   begin();
-  return model()->particle_count() > 0;
+  return model()->particle_count() > 0 || bodies_ != nullptr;
 }
 
 // Returns the index of a step in its chain of recorded steps.
@@ -266,8 +263,24 @@ int64_t DiffSolverVBD::number_of_step(const SimState& in, const SimState& out) {
   return recorded_step_.number;
 }
 
+namespace {
+
+NotedStep noted_step(const RecordedStep& step, const SimState& in, const SimState& out) {
+  NotedStep noted;
+  noted.start = in.particle_q.range()->data();
+  noted.end = out.particle_q.range()->data();
+  noted.q = out.particle_q;
+  noted.qd = out.particle_qd;
+  noted.contacts = step.contacts;
+  noted.soft = true;
+  return noted;
+}
+
+}  // namespace
+
 void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInputs& inputs,
                                 StepScratch scratch) {
+  if (bodies_ != nullptr) return record_bodies(in, out, inputs);
   const Model& m = *model();
   nova::Tape* const tape = nova::Tape::active();
   auto step = std::make_shared<RecordedStep>(model());
@@ -306,7 +319,7 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
   RecordedStep::submit_forward(step);
   if (tape == nullptr) return keep_velocity(in, inputs.checkpoints.get(), scratch);
   step->number = number_of_step(in, out);
-  note_step(*step, in, out, inputs.checkpoints == nullptr);
+  note_step(noted_step(*step, in, out), inputs.checkpoints == nullptr);
   nova::CustomOp op;
   op.name = "vbd_step";
   for (const RecordedStep::Input& input : step->differentiable()) op.inputs.push_back(input.tensor);

@@ -86,25 +86,33 @@ bool RecordedStep::trains(const nova::Tape& tape) const {
   return any;
 }
 
-void RecordedStep::check_others(const nova::Tape& tape, const Contacts* given) const {
-  const std::vector<Input> all = differentiable();
+void check_other_arrays(const nova::Tape& tape, const Model& model, const Contacts* given,
+                        const std::vector<Tensor>& inputs) {
   const auto check = [&](const char* of, const FieldInfo& info, const Array& array) {
     if (array.rows() == 0 || !tape.carries_gradient(*array.range())) return;
-    for (const Input& input : all)
-      if (input.tensor.range()->overlaps(*array.range())) return;
-    fail(ErrorKind::NotImplemented, kName, ": ", of, ".", info.name,
+    for (const Tensor& input : inputs)
+      if (input.range()->overlaps(*array.range())) return;
+    fail(ErrorKind::NotImplemented, RecordedStep::kName, ": ", of, ".", info.name,
          ": a step of VBD has no gradient by it; set requires_grad = false there");
   };
-  ModelFields::visit(static_cast<const ModelFields&>(*model),
+  ModelFields::visit(static_cast<const ModelFields&>(model),
                      [&](const FieldInfo& info, const Array& array) {
                        const std::string_view name = info.name;
-                       if (name != "particle_q" && name != "particle_qd")
-                         check("model", info, array);
+                       for (const char* const of_state : {"particle_q", "particle_qd", "body_q",
+                                                          "body_qd", "joint_q", "joint_qd"})
+                         if (name == of_state) return;
+                       check("model", info, array);
                      });
   if (given != nullptr)
     ContactFields::visit(
         static_cast<const ContactFields&>(*given),
         [&](const FieldInfo& info, const Array& array) { check("contacts", info, array); });
+}
+
+void RecordedStep::check_others(const nova::Tape& tape, const Contacts* given) const {
+  std::vector<Tensor> inputs;
+  for (const Input& input : differentiable()) inputs.push_back(input.tensor);
+  check_other_arrays(tape, *model, given, inputs);
 }
 
 // ErrorKind::Runtime: a scalar of the model has changed since the recording, so that the step would

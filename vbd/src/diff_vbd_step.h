@@ -18,6 +18,12 @@ inline nova::Tensor tensor_of(const nova::Operand& operand) {
   return {operand.range, {operand.rows, operand.width}, nova::DType::F32};
 }
 
+// ErrorKind::NotImplemented: an array of the model or of `given` carries a gradient, but the step
+// has no derivative with respect to this array. The message names the array. `inputs`: the tensors
+// with a derivative. Null: no contacts.
+void check_other_arrays(const nova::Tape& tape, const Model& model, const Contacts* given,
+                        const std::vector<nova::Tensor>& inputs);
+
 struct RecordedStep {
   static constexpr const char* kName = "DiffSolverVBD.step";
 
@@ -57,8 +63,6 @@ struct RecordedStep {
   // carry a gradient.
   bool trains(const nova::Tape& tape) const;
   bool on_device() const { return !model->device().is_cpu(); }
-  // ErrorKind::NotImplemented: an array carries a gradient, but the step has no derivative with
-  // respect to this array. The message names the array.
   void check_others(const nova::Tape& tape, const Contacts* given) const;
 
   // Run at once, or in the replays of a capture. Errors name the step of a rollout.

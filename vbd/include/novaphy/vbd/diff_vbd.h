@@ -10,11 +10,13 @@
 #include "novaphy/dynamics/diff_solver_base.h"
 #include "novaphy/dynamics/gradient_info.h"
 #include "novaphy/nova/op_list.h"
+#include "novaphy/vbd/differentiable_bodies.h"
 #include "novaphy/vbd/differentiable_vbd.h"
 
 namespace novaphy::diff {
 
-struct RecordedStep;  // defined in diff_vbd_step.h
+struct RecordedStep;    // defined in diff_vbd_step.h
+struct RecordedBodies;  // defined in diff_vbd_bodies.h
 
 // How exact the last gradient was. With implicit gradients `residual` of the base is the larger of
 // two relative residuals: that of the step and that of the linear system.
@@ -54,6 +56,12 @@ struct DiffVbdOptions {
 // with these names. A step skips an element whose coefficients are all 0. The gradient of this
 // element is 0.
 //
+// A model with bodies and without particles has implicit gradients (DifferentiableBodies), on the
+// CPU, outside of captures, without contacts and without jvp or checkpoints:
+//   body_q, body_qd, body_f, gravity, body_mass and its inverse, body_inertia          exact
+//   joint_f, joint_target_q, joint_target_qd, of the control or the model              exact
+//   joint_target_ke, joint_target_kd, joint_damping, joint_armature, joint_friction    exact
+//
 // "Exact" refers to the iterations that ran. With implicit gradients "exact" refers to the solution
 // of the step, within the residuals of gradient_info().
 //
@@ -75,7 +83,7 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
   explicit DiffSolverVBD(std::shared_ptr<const Model> model, const DiffVbdOptions& options = {});
 
   const DiffVbdOptions& options() const { return options_; }
-  int32_t kinematic_count() const { return steps_->kinematic_count(); }
+  int32_t kinematic_count() const { return steps_ ? steps_->kinematic_count() : 0; }
   // Returns how exact the last backward or jvp was. The labels cover the latest chain of steps on a
   // tape, in which each step starts from the result of the previous step. For a capture the labels
   // cover the last replay. ErrorKind::Runtime: no backward or jvp ran yet, or a captured step or
@@ -88,7 +96,7 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
 
   // Errors: as for SolverVBD::step. ErrorKind::Runtime: a step with implicit gradients was not
   // solved. A step does not change particle_f.
-  bool supports_graph_capture() const override { return true; }
+  bool supports_graph_capture() const override { return bodies_ == nullptr; }
   // Forgets the velocity that the adaptive guess reads. A capture may record this call.
   void reset();
   void step(SimState& state_in, SimState& state_out, const Control* control,
@@ -107,11 +115,15 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
                    StepScratch scratch) override;
 
  private:
-  void note_step(const RecordedStep& step, const SimState& in, const SimState& out, bool keeps);
+  void note_step(NotedStep noted, bool keeps);
+  void record_bodies(const SimState& in, const SimState& out, const StepInputs& inputs);
   int64_t number_of_step(const SimState& in, const SimState& out);
   void check_replays() const;
   void begin();
-  bool looks_back() const { return options_.initial_guess == VbdInitialGuess::Adaptive; }
+  bool looks_back() const {
+    return bodies_ == nullptr && options_.initial_guess == VbdInitialGuess::Adaptive;
+  }
+  VbdGradientInfo last_info() const { return steps_ ? steps_->info() : bodies_->info(); }
   DeviceArray<Vec4f> new_velocities() const;
   nova::Tensor last_velocity(StepInputs::Checkpoints* checkpoints);
   void keep_velocity(const SimState& in, StepInputs::Checkpoints* checkpoints, StepScratch scratch);
@@ -119,7 +131,9 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
 
   DiffVbdOptions options_;
   EditedValues values_{"DiffSolverVBD"};  // checks captures; steps_ has a separate check
+  // One of the two: steps of particles, or steps of bodies.
   std::shared_ptr<DifferentiableVbd> steps_;
+  std::shared_ptr<DifferentiableBodies> bodies_;
   // the first failure of a replay
   std::shared_ptr<std::string> failure_ = std::make_shared<std::string>();
   std::shared_ptr<const Contacts> last_contacts_;  // a copy of the contacts of the last step

@@ -1,0 +1,86 @@
+// BodiesAdjoint: the adjoint of the solution of a step of bodies (DifferentiableBodies).
+#pragma once
+
+#include <optional>
+#include <vector>
+
+#include "block_system.h"
+#include "bodies_duals.h"
+#include "krylov.h"
+
+namespace novaphy::vbd {
+
+// A step of bodies and its solution.
+struct SolvedBodies {
+  const Model& model;
+  const VbdBodySolution& solution;
+  const SimState& in;
+  const Control* control;
+  float dt;
+};
+
+class BodiesAdjoint {
+ public:
+  explicit BodiesAdjoint(const SolvedBodies& step);
+  // Computes the derivatives. `sweeps`: maximum count of solutions with the factored matrix. The
+  // result tells how exact the rows are solved.
+  KrylovResult run(const VbdBodyDerivatives& adjoints, const VbdBodyDerivatives& gradients,
+                   int32_t sweeps);
+
+ private:
+  // A joint with the derivatives of its forces and rows. Columns and force rows are those of body
+  // A, then of body B.
+  struct Joint {
+    DualJoint at;
+    int32_t body[2] = {-1, -1};
+    size_t index = 0;                       // of the model
+    double by_lam[kMostRows][12] = {};      // force by multiplier
+    double by_motion[kMostRows][12] = {};   // row by motion
+    double compliance[kMostRows] = {}, penalty[kMostRows] = {};
+    double nu[kMostRows] = {};  // adjoint of each row
+    double stiffness(int k) const { return 1.0 / (compliance[k] + 1.0 / penalty[k]); }
+  };
+  // The sums of the derivatives with respect to one array. Empty: not asked for.
+  struct Sums {
+    Array to;
+    std::vector<double> of;
+    explicit Sums(const Array& array) : to(array), of(array.bytes() / sizeof(float)) {}
+    void add(size_t k, double value) {
+      if (!of.empty()) of[k] += value;
+    }
+    void write();
+  };
+  struct Gradients;
+
+  static size_t index(int32_t k) { return static_cast<size_t>(k); }
+  bool moves(int32_t body) const { return body >= 0 && row_[index(body)] >= 0; }
+  size_t row(int32_t body) const { return index(row_[index(body)]); }
+  DualBody body_at(int32_t body) const;
+  Joint joint_at(size_t k) const;
+  static void add_rows(const VbdBodyJoint& j, const JointErrors& e, Joint& to);
+  void put_derivatives(Joint& j, BlockSystem& system) const;
+  void put_coupling(const Joint& j, BlockSystem& system) const;
+  KrylovResult solve(int32_t sweeps);
+  // Applies a direction to a copy of the joint or body. Returns minus the product of the adjoints
+  // and the derivatives.
+  template <class Seed>
+  double along(const Joint& j, const Seed& seed) const;
+  template <class Seed>
+  double along(int32_t body, const DualBody& at, const Seed& seed) const;
+  void take_results(const VbdBodyDerivatives& adjoints, Gradients& to);
+  void pull_bodies(Gradients& to) const;
+  void pull_mass(int32_t body, const DualBody& at, Gradients& to) const;
+  void pull_joints(Gradients& to);
+  void pull_poses(const Joint& j, Gradients& to);
+  void pull_axis(const Joint& j, Gradients& to) const;
+  void pull_kinematic(Gradients& to) const;
+
+  const SolvedBodies step_;
+  std::vector<int32_t> row_;   // of each body: its row in the system, or -1: kinematic
+  std::vector<Joint> joint_;
+  std::vector<Row6> load_;     // adjoint of the motion of each body
+  std::vector<Row6> mu_;       // adjoint of the forces on each body; kinematic: 0
+  std::optional<BlockSystem> system_;
+};
+
+}  // namespace novaphy::vbd

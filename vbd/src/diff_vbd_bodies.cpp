@@ -1,0 +1,125 @@
+#include "diff_vbd_bodies.h"
+
+#include <utility>
+
+#include "diff_vbd_step.h"
+#include "novaphy/core/error.h"
+#include "novaphy/core/sim/named_step.h"
+#include "novaphy/nova/kernel.h"
+#include "novaphy/nova/op_list.h"
+#include "novaphy/vbd/diff_vbd.h"
+
+namespace novaphy::diff {
+
+using nova::Tensor;
+
+std::vector<RecordedBodies::Input> RecordedBodies::differentiable() const {
+  using D = VbdBodyDerivatives;
+  const Model& m = *model;
+  const Control* const c = control.get();
+  const std::pair<const Array&, Array D::*> arrays[] = {
+      {in->body_q, &D::body_q},
+      {in->body_qd, &D::body_qd},
+      {in->body_f, &D::body_f},
+      {m.gravity, &D::gravity},
+      {m.body_mass, &D::body_mass},
+      {m.body_inertia, &D::body_inertia},
+      {c != nullptr ? c->joint_f : m.joint_f, &D::joint_f},
+      {c != nullptr ? c->joint_target_q : m.joint_target_q, &D::joint_target_q},
+      {c != nullptr ? c->joint_target_qd : m.joint_target_qd, &D::joint_target_qd},
+      {m.joint_target_ke, &D::joint_target_ke},
+      {m.joint_target_kd, &D::joint_target_kd},
+      {m.joint_damping, &D::joint_damping},
+      {m.joint_armature, &D::joint_armature},
+      {m.joint_friction, &D::joint_friction}};
+  std::vector<Input> all;
+  for (const auto& [array, derivative] : arrays)
+    if (array.rows() != 0) all.push_back({tensor_of(nova::operand_of(array)), derivative});
+  return all;
+}
+
+void RecordedBodies::backward(std::span<const Tensor> outputs,
+                              std::span<const nova::InputGradient> to) const {
+  const nova::NoGrad no_grad;
+  const std::vector<Input> all = differentiable();
+  VbdBodyDerivatives adjoints, gradients;
+  const auto array_of = [](const Tensor& tensor) {
+    return tensor.defined() ? Array(novaphy::DType::float32, static_cast<size_t>(tensor.size()), 1,
+                                    tensor.range())
+                            : Array();
+  };
+  adjoints.body_q = array_of(outputs[0]);
+  adjoints.body_qd = array_of(outputs[1]);
+  for (size_t k = 0; k < all.size(); ++k) {
+    if (!to[k].wanted()) continue;
+    const UntrackedScope untracked;
+    gradients.*all[k].derivative = Array(
+        novaphy::DType::float32, static_cast<size_t>(all[k].tensor.size()), model->device());
+  }
+  steps->backward(*solution, *in, control.get(), dt, adjoints, gradients);
+  for (size_t k = 0; k < all.size(); ++k)
+    if (to[k].wanted())
+      to[k].put(Tensor((gradients.*all[k].derivative).range(), to[k].grad.shape(),
+                       nova::DType::F32));
+}
+
+void DiffSolverVBD::record_bodies(const SimState& in, const SimState& out,
+                                  const StepInputs& inputs) {
+  const Model& m = *model();
+  require(nova::current_capture() == nullptr, ErrorKind::NotImplemented, RecordedStep::kName,
+          ": expected no capture for a model with bodies");
+  require(inputs.checkpoints == nullptr, ErrorKind::NotImplemented, "DiffSolverVBD.rollout",
+          ": trajectory: expected all states kept (checkpoint=1) for a model with bodies");
+  nova::Tape* const tape = nova::Tape::active();
+  auto step = std::make_shared<RecordedBodies>();
+  step->model = model();
+  step->steps = bodies_;
+  step->dt = inputs.dt;
+  step->of_rollout = inputs.step;
+  {
+    const UntrackedScope untracked;
+    StateFields fields = in;
+    fields.body_f = DeviceArray<SpatialVectorf>(
+        Array(novaphy::DType::spatial_vector, static_cast<size_t>(inputs.body_forces.rows), 1,
+              inputs.body_forces.range));
+    step->in = std::make_shared<const SimState>(m, std::move(fields));
+    if (inputs.control != nullptr) {
+      const auto control = std::make_shared<Control>(m);
+      static_cast<ControlFields&>(*control) = *inputs.control;
+      step->control = control;
+    }
+  }
+  std::vector<Tensor> tensors;
+  for (const RecordedBodies::Input& input : step->differentiable())
+    tensors.push_back(input.tensor);
+  if (tape != nullptr) check_other_arrays(*tape, m, inputs.contacts, tensors);
+  {
+    const nova::NoGrad no_grad;
+    DeviceArray<Transformf> q_out = out.body_q;  // forward() runs without a recorder
+    DeviceArray<SpatialVectorf> qd_out = out.body_qd;
+    q_out.mutable_data();
+    qd_out.mutable_data();
+    step->solution =
+        bodies_->forward(*step->in, out, step->control.get(), inputs.contacts, inputs.dt);
+  }
+  if (tape == nullptr) return;
+  NotedStep noted;
+  noted.start = in.body_q.range()->data();
+  noted.end = out.body_q.range()->data();
+  noted.body_q = in.body_q;
+  noted.body_qd = in.body_qd;
+  note_step(std::move(noted), true);
+  nova::CustomOp op;
+  op.name = "vbd_bodies_step";
+  op.inputs = tensors;
+  op.outputs = {tensor_of(nova::operand_of(out.body_q)), tensor_of(nova::operand_of(out.body_qd))};
+  op.reads = tensors;
+  op.reads.push_back(Tensor::view(m.body_inv_mass));
+  op.vjp = [step](std::span<const Tensor> outputs, std::span<const nova::InputGradient> to) {
+    const auto run = [&] { step->backward(outputs, to); };
+    step->of_rollout < 0 ? run() : named_step(step->of_rollout, run);
+  };
+  tape->record_custom(std::move(op));
+}
+
+}  // namespace novaphy::diff

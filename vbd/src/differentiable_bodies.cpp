@@ -1,0 +1,137 @@
+#include "novaphy/vbd/differentiable_bodies.h"
+
+#include <utility>
+
+#include "bodies_adjoint.h"
+#include "novaphy/core/error.h"
+#include "novaphy/core/exclusive_use.h"
+#include "novaphy/core/recorder.h"
+#include "novaphy/core/sim/contacts.h"
+#include "solution.h"
+
+namespace novaphy {
+namespace {
+
+constexpr const char* kName = "DiffSolverVBD";
+
+void check_covered(const Model& m, const VbdGradientOptions& g) {
+  require(m.particle_count() == 0, ErrorKind::NotImplemented, kName,
+          ": model: expected no particles beside bodies, got particle_count ", m.particle_count(),
+          ", because steps of both have no gradient; use SolverVBD");
+  require(g.implicit, ErrorKind::NotImplemented, kName,
+          ": gradient: expected \"implicit\" for a model with bodies, got \"unrolled\"");
+}
+
+void check_contacts(const Contacts* contacts) {
+  if (contacts == nullptr || contacts->rigid_contact_max() == 0) return;
+  const int32_t count = *contacts->rigid_contact_count.data();
+  require(count == 0, ErrorKind::NotImplemented, kName,
+          ".step: contacts: expected no contacts of bodies, which have no gradient, got ", count,
+          "; use SolverVBD");
+}
+
+}  // namespace
+
+struct DifferentiableBodies::Work {
+  Work(const Model& model, const VbdOptions& of_step, const VbdGradientOptions& of_gradient)
+      : bodies(model, of_step), options(of_step), gradient(of_gradient) {}
+
+  // Iterates to the solution of the step that bodies.begin() started.
+  void solve() {
+    const auto tolerance = static_cast<double>(gradient.tolerance);
+    vbd::Solution found;
+    bodies.couple(nullptr, {});
+    for (int32_t k = 0; k < options.iterations; ++k) bodies.iterate_to_solution();
+    found.residual = bodies.residual();
+    int32_t more = 0;
+    double before = found.residual.relative;
+    while (more < gradient.newton_iterations && before > tolerance) {
+      bodies.iterate_to_solution();
+      ++more;
+      found.residual = bodies.residual();
+      // Rounding may let the residual fall no further.
+      if (found.is_solved(tolerance) && found.residual.relative > 0.5 * before) break;
+      before = found.residual.relative;
+    }
+    bodies.check_result();
+    found.residual.iterations = options.iterations;
+    if (!gradient.allow_unconverged)
+      found.check(kName, tolerance, gradient.newton_iterations,
+                  "iterations or newton_iterations, or allow_unconverged");
+    solution = std::make_shared<VbdBodySolution>(bodies.solution());
+    solution->residual = found.residual;
+    solution->residual.iterations += more;
+    solution->is_solved = found.is_solved(tolerance);
+  }
+
+  vbd::Bodies bodies;
+  const VbdOptions options;
+  const VbdGradientOptions gradient;
+  std::shared_ptr<VbdBodySolution> solution;  // of the last step
+  bool has_info = false;
+  VbdGradientInfo info;
+  ExclusiveUse in_use;
+};
+
+DifferentiableBodies::DifferentiableBodies(std::shared_ptr<const Model> model,
+                                           const VbdOptions& options,
+                                           const VbdGradientOptions& gradient_options)
+    : model_(std::move(model)) {
+  check_covered(*model_, gradient_options);
+  SolverVBD(model_, options);  // checks the model and the options
+  work_ = std::make_unique<Work>(*model_, options, gradient_options);
+}
+
+DifferentiableBodies::~DifferentiableBodies() = default;
+
+std::shared_ptr<const VbdBodySolution> DifferentiableBodies::forward(const SimState& in,
+                                                                     const SimState& out,
+                                                                     const Control* control,
+                                                                     const Contacts* contacts,
+                                                                     float dt) {
+  Work& w = *work_;
+  const ExclusiveUse::Scope scope(w.in_use, "DifferentiableBodies.forward", "the solver");
+  const UntrackedScope untracked;
+  const Unrecorded unrecorded;
+  check_contacts(contacts);
+  model_->update_derived();
+  model_->check_structure(kName);
+  w.bodies.begin(in, control, nullptr, dt);
+  w.solve();
+  w.bodies.finish(in, out, nullptr);
+  return std::exchange(w.solution, {});
+}
+
+void DifferentiableBodies::backward(const VbdBodySolution& solution, const SimState& in,
+                                    const Control* control, float dt,
+                                    const VbdBodyDerivatives& adjoints,
+                                    const VbdBodyDerivatives& gradients) {
+  Work& w = *work_;
+  const ExclusiveUse::Scope scope(w.in_use, "DifferentiableBodies.backward", "the solver");
+  const UntrackedScope untracked;
+  const Unrecorded unrecorded;
+  model_->update_derived();
+  vbd::BodiesAdjoint adjoint({*model_, solution, in, control, dt});
+  const vbd::KrylovResult linear =
+      adjoint.run(adjoints, gradients, w.gradient.krylov_sweeps);
+  const double allowed = static_cast<double>(w.gradient.tolerance);
+  const bool solved = linear.residual <= allowed;
+  require(solved || w.gradient.allow_unconverged, ErrorKind::Runtime, kName,
+          ": the linear system of the gradient was not solved: expected a relative residual of at "
+          "most ",
+          allowed, ", got ", linear.residual, " after ", linear.iterations,
+          " sweeps; raise gradient_sweeps, or allow_unconverged");
+  w.info = {"implicit",         solution.residual,           linear.residual,
+            linear.iterations, solved && solution.is_solved, 0};
+  w.has_info = true;
+}
+
+VbdGradientInfo DifferentiableBodies::info() const {
+  require(work_->has_info, ErrorKind::Runtime, kName,
+          ".gradient_info: expected a backward before");
+  return work_->info;
+}
+
+void DifferentiableBodies::reset() { work_->bodies.reset(); }
+
+}  // namespace novaphy

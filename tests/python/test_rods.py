@@ -194,7 +194,8 @@ def test_other_solvers_refuse_the_joint_by_name(solver: Any) -> None:
     ("change", "match"),
     [
         ({"positions": [(0, 0, 0)]}, "positions: expected at least 2, got 1"),
-        ({"positions": [(0, 0, 0), (0, 0, 0)]}, r"edges\[0\]: expected two nodes more than"),
+        ({"positions": [(0, 0, 0), (0, 0, 0)]}, r"add_rod: positions\[1\]: expected more than"),
+        ({"positions": [(0, 0, 0), (0, np.nan, 0)]}, r"add_rod: positions\[1\]: expected finite"),
         ({"radius": 0.0}, "radius: expected a finite number > 0, got 0"),
         ({"bend_stiffness": -1.0}, "bend_stiffness: expected a finite number >= 0, got -1"),
         ({"quaternions": [IDENTITY]}, "quaternions: expected 2, one for each link, got 1"),
@@ -205,3 +206,15 @@ def test_bad_rods_are_named(change: dict[str, Any], match: str) -> None:
     positions = [(0, 0, 0), (1, 0, 0), (2, 0, 0)]
     with pytest.raises(ValueError, match=match):
         novaphy.ModelBuilder().add_rod(**{"positions": positions, **change})
+
+
+@pytest.mark.parametrize(
+    ("node", "match"),
+    [
+        ((0, 0, 0), r"add_rod_graph: edges\[0\]: expected more than 1e-6 m"),
+        ((np.nan, 0, 0), r"add_rod_graph: node_positions\[1\]: expected finite"),
+    ],
+)
+def test_bad_nodes_of_a_graph_are_named(node: tuple, match: str) -> None:
+    with pytest.raises(ValueError, match=match):
+        novaphy.ModelBuilder().add_rod_graph([(0, 0, 0), node], [(0, 1)])

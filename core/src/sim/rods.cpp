@@ -52,11 +52,20 @@ void check_material(std::string_view name, const RodMaterial& m) {
   detail::check_not_negative({name, "twist_damping"}, m.twist_damping.value_or(0.0f));
 }
 
-std::vector<RodLink> links_of(std::string_view name, std::span<const Vec3f> nodes,
+// The names of a function and of its argument for the nodes, for errors.
+struct RodNames {
+  std::string_view function, nodes;
+  bool has_edges = true;  // whether the edges are an argument, too
+};
+constexpr RodNames kRod = {"add_rod", "positions", false};
+constexpr RodNames kGraph = {"add_rod_graph", "node_positions"};
+
+std::vector<RodLink> links_of(const RodNames& names, std::span<const Vec3f> nodes,
                               std::span<const Vec2i> edges, const RodArgs& args) {
+  const std::string_view name = names.function;
   const auto count = static_cast<int32_t>(nodes.size());
   for (size_t k = 0; k < nodes.size(); ++k)
-    detail::check_finite({name, "node_positions", k}, nodes[k]);
+    detail::check_finite({name, names.nodes, k}, nodes[k]);
   require(!edges.empty(), ErrorKind::Value, name, ": edges: expected at least one, got none");
   require(args.quaternions.empty() || args.quaternions.size() == edges.size(), ErrorKind::Value,
           name, ": quaternions: expected ", edges.size(), ", one for each link, got ",
@@ -69,8 +78,9 @@ std::vector<RodLink> links_of(std::string_view name, std::span<const Vec3f> node
             ": expected nodes from 0 to ", count - 1, ", got ", a, " and ", b);
     const Vec3f way = nodes[static_cast<size_t>(b)] - nodes[static_cast<size_t>(a)];
     const float length = math::length(way);
-    require(length > 1e-6f, ErrorKind::Value, where,
-            ": expected two nodes more than 1e-6 m apart, got a distance of ", length);
+    require(length > 1e-6f, ErrorKind::Value,
+            names.has_edges ? where : detail::Where{name, names.nodes, static_cast<size_t>(b)},
+            ": expected more than 1e-6 m between two nodes of a link, got ", length);
     const Vec3f t = way * (1.0f / length);
     RodLink link = {.ends = edges[k], .length = length};
     link.pose = {(nodes[static_cast<size_t>(a)] + nodes[static_cast<size_t>(b)]) * 0.5f, along(t)};
@@ -100,13 +110,14 @@ void filter_near(ModelBuilder& builder, const std::vector<RodLink>& links,
 }
 
 // Adds the body of a link, with the mass of a cylinder.
-int32_t add_link(ModelBuilder& builder, RodLink& link, const RodArgs& args, std::string label) {
+int32_t add_link(ModelBuilder& builder, const RodNames& names, RodLink& link, const RodArgs& args,
+                 std::string label) {
   ShapeConfig cfg = args.cfg.value_or(builder.default_shape_cfg);
   const float r = args.radius, half = 0.5f * link.length;
   ShapeConfig solid = cfg;
   solid.is_solid = true;
   const detail::MassProperties of =
-      detail::shape_mass("add_rod", GeoType::CYLINDER, {r, half, 0.0f}, solid);
+      detail::shape_mass(names.function, GeoType::CYLINDER, {r, half, 0.0f}, solid);
   Mat33f inertia{};
   for (int k = 0; k < 3; ++k) inertia.m[k][k] = static_cast<float>(of.inertia.m[k][k]);
   cfg.density = 0.0f;
@@ -155,17 +166,18 @@ int32_t add_joint_rod(ModelBuilder& builder, int32_t parent, int32_t child,
   return joint;
 }
 
-Rod add_rod_graph(ModelBuilder& builder, std::span<const Vec3f> nodes, std::span<const Vec2i> edges,
-                  const RodArgs& args) {
-  constexpr std::string_view name = "add_rod";
-  detail::check_positive({name, "radius"}, args.radius);
-  check_material(name, args.material);
-  std::vector<RodLink> links = links_of(name, nodes, edges, args);
+namespace {
+
+Rod rod_of(ModelBuilder& builder, const RodNames& names, std::span<const Vec3f> nodes,
+           std::span<const Vec2i> edges, const RodArgs& args) {
+  detail::check_positive({names.function, "radius"}, args.radius);
+  check_material(names.function, args.material);
+  std::vector<RodLink> links = links_of(names, nodes, edges, args);
   const std::string label = args.label.empty() ? "rod" : args.label;
   std::vector<std::vector<size_t>> of_node(nodes.size());
   Rod rod;
   for (size_t k = 0; k < links.size(); ++k) {
-    const int32_t body = add_link(builder, links[k], args, label + "_" + std::to_string(k));
+    const int32_t body = add_link(builder, names, links[k], args, label + "_" + std::to_string(k));
     rod.bodies.push_back(body);
     for (const int32_t node : {links[k].ends.x, links[k].ends.y})
       of_node[static_cast<size_t>(node)].push_back(k);
@@ -189,6 +201,13 @@ Rod add_rod_graph(ModelBuilder& builder, std::span<const Vec3f> nodes, std::span
   return rod;
 }
 
+}  // namespace
+
+Rod add_rod_graph(ModelBuilder& builder, std::span<const Vec3f> nodes, std::span<const Vec2i> edges,
+                  const RodArgs& args) {
+  return rod_of(builder, kGraph, nodes, edges, args);
+}
+
 Rod add_rod(ModelBuilder& builder, std::span<const Vec3f> nodes, bool closed, const RodArgs& args) {
   const size_t least = closed ? 3 : 2;
   require(nodes.size() >= least, ErrorKind::Value, "add_rod: positions: expected at least ", least,
@@ -196,7 +215,7 @@ Rod add_rod(ModelBuilder& builder, std::span<const Vec3f> nodes, bool closed, co
   std::vector<Vec2i> edges;
   const auto count = static_cast<int32_t>(nodes.size());
   for (int32_t k = 0; k < (closed ? count : count - 1); ++k) edges.push_back({k, (k + 1) % count});
-  return add_rod_graph(builder, nodes, edges, args);
+  return rod_of(builder, kRod, nodes, edges, args);
 }
 
 }  // namespace novaphy

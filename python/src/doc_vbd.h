@@ -19,9 +19,10 @@ initial_guess: "adaptive" keeps a velocity from step to step and from rollout to
 reset(). Unrolled gradients include the derivative by this velocity. A converged solution does not
 depend on the initial guess.
 
-A model with bodies and joints, without particles and contacts, needs gradient="implicit". Gradients
-are computed for poses, velocities, body_f, gravity, masses, inertias, joint_f, targets, stiffness and
-damping of drives and rods, and damping, armature and friction of joints. Captures, checkpoints and
+A model with bodies, joints and contacts, without particles, needs gradient="implicit". Gradients are
+computed for poses, velocities, body_f, gravity, masses, inertias, joint_f, targets, stiffness and
+damping of drives and rods, damping, armature and friction of joints, and materials of shapes.
+Captures, checkpoints and
 jvp raise NotImplementedError.
 
 A capture on a device cannot record jvp or gradient="implicit".)";

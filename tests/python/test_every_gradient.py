@@ -188,7 +188,10 @@ SCENES = {
     "featherstone, no contacts": Scene(lambda: bodies(True), featherstone, "none", False),
     "vbd": Scene(lambda: for_vbd(soft()), vbd("unrolled"), "given", True, dt=5e-3),
     "vbd, implicit": Scene(lambda: for_vbd(soft()), vbd("implicit"), "given", True, dt=5e-3),
-    "vbd, bodies": Scene(lambda: for_vbd(bodies(False)), vbd("implicit"), "none", True, dt=5e-3),
+    "vbd, bodies": Scene(lambda: for_vbd(bodies(False)), vbd("implicit"), "given", True, dt=5e-3),
+    "vbd, bodies, pipeline": Scene(
+        lambda: for_vbd(bodies(False)), vbd("implicit"), "found", True, dt=5e-3
+    ),
 }
 
 

@@ -159,7 +159,7 @@ TESTS: dict[str, Callable[[], None] | str] = {
     "`SolverVBD` on a device": (
         "test_vbd_guide.py::test_a_row_of_the_table_of_devices_is_as_it_says"
     ),
-    "in `DiffSolverVBD`: contacts": (
+    "in `DiffSolverVBD`: bodies": (
         "test_avbd_gradients.py::test_what_has_no_gradient_is_refused_by_name"
     ),
     "in `DiffSolverVBD`, and in `SolverVBD`": (

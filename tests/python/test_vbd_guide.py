@@ -299,7 +299,7 @@ ROWS = {
         None,
         lambda: swing(plain(model := pendulum()), model, captured=True),
     ),
-    "contacts of bodies": Row(bodies, body_gradient, None, body_captured),
+    "bodies beside particles": Row(bodies, body_gradient, None, body_captured),
     "self-contact": Row(
         forward(**SELF_CONTACT), option_gradient(particle_enable_self_contact=True), SELF_CONTACT
     ),

@@ -201,6 +201,7 @@ void Bodies::begin(const SimState& in, const Control* control, const Contacts* c
   put_joints(in, control);
   acting_ = pairs_.size();
   contact_.clear();
+  contact_origin_.clear();
   contact_slots_.clear();
   if (contacts != nullptr) put_contacts(in, *contacts);
 }

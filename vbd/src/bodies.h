@@ -49,6 +49,15 @@ struct alignas(16) JointMemory {
   float axis[4] = {};
 };
 
+// The data that a contact is made of.
+struct ContactOrigin {
+  ContactStart<float> start;
+  int32_t shape[2] = {-1, -1};
+  bool has_ke = false, has_kd = false, has_mu = false;  // whether the row has its own coefficient
+};
+// Returns whether a shape is an endless plane of the world.
+bool is_world_plane(const Model& m, int32_t shape);
+
 // Returns a joint at the start of a step. Null control: the defaults of the model.
 JointStart<float> joint_start(const Model& m, const Transformf* q, const SpatialVectorf* qd,
                               const Control* control, size_t joint);
@@ -177,8 +186,8 @@ class Bodies {
   void finish(const SimState& in, const SimState& out, const Contacts* contacts);
   void reset() { memory_.zero(); }
   // Runs one iteration of a step whose solution is wanted. A row along a joint axis that leaves one
-  // of its two bounds, as dry friction can, gets a lower penalty stiffness. Such rows could otherwise
-  // jump to and fro without end.
+  // of its two bounds, as dry friction can, gets a lower penalty stiffness. So does the friction of a
+  // contact that stops to slip or turns back. Both could otherwise jump to and fro without end.
   void iterate_to_solution();
   // Returns how far the motions are from the solution, without contacts. The values are those of
   // the worst tree. The norms weigh moments by the inverse inertia.
@@ -238,6 +247,7 @@ class Bodies {
   std::vector<VbdBody> body_;
   std::vector<VbdBodyMotion> motion_;
   std::vector<VbdBodyContact> contact_;
+  std::vector<ContactOrigin> contact_origin_;  // of each contact
   std::vector<VbdBodyJoint> joint_;
   std::vector<VbdBodyNode> node_;
   // Poses, velocities and forces at the start of the step.
@@ -249,6 +259,10 @@ class Bodies {
   IndexRows touches_of_;                 // the contacts of each body with particles
   std::vector<int32_t> near_world_;      // the particles of the contacts with world-owned shapes
   BodyGroups groups_;
+  // Of the last iterate_to_solution: the multipliers of the rows along joint axes, and the friction
+  // of contacts that slip.
+  std::vector<float> last_rows_;
+  std::vector<Vec3f> last_friction_;
   std::vector<int32_t> contact_slots_, joints_;  // the contact slot or joint of each row
   std::vector<int32_t> recalled_;                // rows of the memory, sorted by contact
   std::vector<std::array<int32_t, 2>> pairs_, built_pairs_;

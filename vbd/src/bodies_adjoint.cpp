@@ -32,6 +32,21 @@ JointStart<DualFloat> dual(const JointStart<float>& s) {
   return to;
 }
 
+ContactStart<DualFloat> dual(const ContactStart<float>& s) {
+  ContactStart<DualFloat> to;
+  for (int k = 0; k < 2; ++k) {
+    to.pose[k] = vbd::dual(s.pose[k]);
+    to.com[k] = vbd::dual(s.com[k]);
+    to.point[k] = vbd::dual(s.point[k]);
+    to.margin[k] = DualFloat(s.margin[k]);
+  }
+  to.normal = vbd::dual(s.normal);
+  to.stiffness = DualFloat(s.stiffness);
+  to.damping = DualFloat(s.damping);
+  to.mu = DualFloat(s.mu);
+  return to;
+}
+
 void put_wrench(const SpatialVector<DualFloat>& f, double* to) {
   const DualFloat* const of[6] = {&f.linear.x,  &f.linear.y,  &f.linear.z,
                                   &f.angular.x, &f.angular.y, &f.angular.z};
@@ -52,10 +67,9 @@ void move_along(DualMotion& m, int k) {
 BodiesAdjoint::BodiesAdjoint(const SolvedBodies& step) : step_(step) {
   const size_t bodies = step.solution.motion.size();
   row_.assign(bodies, -1);
-  int32_t rows = 0;
   for (size_t b = 0; b < bodies; ++b)
-    if (step.solution.is_kinematic[b] == 0) row_[b] = rows++;
-  system_.emplace(index(rows));
+    if (step.solution.is_kinematic[b] == 0) row_[b] = rows_++;
+  system_.emplace(index(rows_));
   for (int32_t b = 0; b < static_cast<int32_t>(bodies); ++b) {
     if (!moves(b)) continue;
     Block6& block = system_->at(row(b), row(b));
@@ -66,11 +80,12 @@ BodiesAdjoint::BodiesAdjoint(const SolvedBodies& step) : step_(step) {
       put_wrench(force_on(along, step_.dt), block[static_cast<size_t>(c)].data());
     }
   }
-  for (size_t k = 0; k < step.solution.joint.size(); ++k) {
-    joint_.push_back(joint_at(k));
-    put_derivatives(joint_.back(), *system_);
-    put_coupling(joint_.back(), *system_);
-  }
+  for (size_t k = 0; k < step.solution.joint.size(); ++k) joint_.push_back(joint_at(k));
+  for (size_t k = 0; k < step.solution.contact.size(); ++k) add_touch(k);
+  for_pairs([this](auto& pair) {
+    put_derivatives(pair, *system_);
+    put_coupling(pair, *system_);
+  });
   system_->factor();
   load_.resize(bodies);
   mu_.resize(bodies);
@@ -114,14 +129,51 @@ BodiesAdjoint::Joint BodiesAdjoint::joint_at(size_t k) const {
   return to;
 }
 
+template <class At>
+void BodiesAdjoint::Pair<At>::add(float multiplier, double compliance_of_row, float rho) {
+  const int k = at.count++;
+  at.lam[k] = DualFloat(multiplier);
+  compliance[k] = compliance_of_row;
+  penalty[k] = kStiffer * wide(rho);
+}
+
+// Adds a contact, if it pushes.
+void BodiesAdjoint::add_touch(size_t k) {
+  const VbdBodyContact& c = step_.solution.contact[k];
+  const VbdBodyMotion a = motion_of(step_.solution.motion.data(), c.body[0]);
+  const VbdBodyMotion b = motion_of(step_.solution.motion.data(), c.body[1]);
+  const ContactForce f = contact_force(c, a, b, 1.0f);
+  if (!(f.normal > 0.0f)) return;
+  Touch to;
+  to.index = k;
+  const ContactOrigin& origin = step_.solution.contact_origin[k];
+  to.at.start = dual(origin.start);
+  to.at.ignored = c.ignored;
+  for (int s = 0; s < 2; ++s) {
+    to.body[s] = c.body[s];
+    to.at.motion[s] = vbd::dual(s == 0 ? a : b);
+    to.at.is_plane[s] =
+        step_.solution.contacts_follow && is_world_plane(step_.model, origin.shape[s]);
+  }
+  const float depth = contact_depth(c, a, b);
+  to.add(f.normal - contact_damping(c, depth) * (depth + c.gap), 1.0 / wide(c.stiffness), c.rho);
+  const Vec3f slip = contact_slip(c, a, b), wanted = c.lam_t - slip * c.rho_t;
+  const float cone = c.mu * f.normal, size = math::length(wanted);
+  if (size > cone) {
+    to.at.slides = wanted * (1.0f / size);
+    to.at.least_slip = cone / c.rho_t;
+  } else if (cone > 0.0f) {
+    const Perpendicular across = perpendicular(c.normal);
+    for (int r = 0; r < 2; ++r) to.add(math::dot(wanted, across.t[r]), 0.0, c.rho_t);
+  }
+  touch_.push_back(to);
+}
+
 // Finds the rows that act, and their multipliers.
 void BodiesAdjoint::add_rows(const VbdBodyJoint& j, const JointErrors& e, Joint& to) {
   const auto add = [&](RowKind kind, int r, float lam, float stiffness, float rho) {
-    const int k = to.at.count++;
-    to.at.rows[k] = {kind, r};
-    to.at.lam[k] = DualFloat(lam);
-    to.compliance[k] = 1.0 / wide(stiffness);
-    to.penalty[k] = kStiffer * wide(rho);
+    to.at.rows[to.at.count] = {kind, r};
+    to.add(lam, 1.0 / wide(stiffness), rho);
   };
   for (int r = 0; r < point_rows(j.kind); ++r)
     if (const VbdJointRow& row = j.points[r]; row.stiffness != 0.0f)
@@ -142,21 +194,22 @@ void BodiesAdjoint::add_rows(const VbdBodyJoint& j, const JointErrors& e, Joint&
   }
 }
 
-// Computes the derivatives of a joint. The derivatives of its forces with respect to the motion go
+// Computes the derivatives of a joint or contact. The derivatives of its forces with respect to the motion go
 // to the system, transposed.
-void BodiesAdjoint::put_derivatives(Joint& j, BlockSystem& system) const {
+template <class At>
+void BodiesAdjoint::put_derivatives(Pair<At>& j, BlockSystem& system) const {
   for (int k = 0; k < j.at.count; ++k) {
-    DualJoint at = j.at;
+    At at = j.at;
     at.lam[k].d = 1.0f;
-    const DualJointValues values = values_of(at, step_.dt);
+    const DualValues values = values_of(at, step_.dt);
     for (int s = 0; s < 2; ++s) put_wrench(values.on[s], j.by_lam[k] + 6 * s);
   }
   for (int side = 0; side < 2; ++side) {
     if (j.body[side] < 0) continue;
     for (int c = 0; c < 6; ++c) {
-      DualJoint at = j.at;
+      At at = j.at;
       move_along(at.motion[side], c);
-      const DualJointValues values = values_of(at, step_.dt);
+      const DualValues values = values_of(at, step_.dt);
       for (int k = 0; k < j.at.count; ++k) j.by_motion[k][6 * side + c] = wide(values.error[k].d);
       for (int s = 0; s < 2; ++s) {
         if (!moves(j.body[s]) || !moves(j.body[side])) continue;
@@ -169,8 +222,9 @@ void BodiesAdjoint::put_derivatives(Joint& j, BlockSystem& system) const {
   }
 }
 
-// Eliminates the rows of a joint: adds the transpose of by_lam stiffness by_motion to the system.
-void BodiesAdjoint::put_coupling(const Joint& j, BlockSystem& system) const {
+// Eliminates the rows of a joint or contact: adds the transpose of by_lam stiffness by_motion to the system.
+template <class At>
+void BodiesAdjoint::put_coupling(const Pair<At>& j, BlockSystem& system) const {
   for (int from = 0; from < 2; ++from)
     for (int to = 0; to < 2; ++to) {
       if (!moves(j.body[from]) || !moves(j.body[to])) continue;
@@ -183,41 +237,58 @@ void BodiesAdjoint::put_coupling(const Joint& j, BlockSystem& system) const {
     }
 }
 
+double BodiesAdjoint::relative_change(const std::vector<Row6>& before,
+                                      const std::vector<Row6>& after) const {
+  double change = 0.0, size = 0.0;
+  for (size_t b = 0; b < row_.size(); ++b) {
+    if (row_[b] < 0) continue;
+    const float* const inertia = &step_.model.body_inertia.data()[b].m[0][0];
+    const double mass = wide(step_.model.body_mass.data()[b]);
+    const double turning = (wide(inertia[0]) + wide(inertia[4]) + wide(inertia[8])) / 3.0;
+    for (size_t k = 0; k < 6; ++k) {
+      const double a = before[index(row_[b])][k], c = after[index(row_[b])][k];
+      change += (k < 3 ? mass : turning) * (c - a) * (c - a);
+      size += (k < 3 ? mass : turning) * c * c;
+    }
+  }
+  return size > 0.0 ? std::sqrt(change / size) : 0.0;
+}
+
 // Solves for the adjoints of the forces and of the rows, by the method of multipliers. The residual
-// is the relative change of nu in the last sweep.
+// is the relative change of mu in the last sweep, weighted by masses and mean inertias.
+// The adjoints nu of rows that depend on each other are not unique.
 KrylovResult BodiesAdjoint::solve(int32_t sweeps) {
   constexpr double kSolved = 1e-8, kStalled = 1e-5;
   KrylovResult result;
-  std::vector<Row6> rows;
+  std::vector<Row6> rows, before(index(rows_));
   while (result.iterations < sweeps) {
     rows.clear();
     for (size_t b = 0; b < load_.size(); ++b)
       if (row_[b] >= 0) rows.push_back(load_[b]);
-    for (const Joint& j : joint_)
+    for_pairs([&](const auto& j) {
       for (int s = 0; s < 2; ++s)
         for (int k = 0; k < j.at.count && moves(j.body[s]); ++k)
           for (size_t c = 0; c < 6; ++c)
             rows[row(j.body[s])][c] -= j.by_motion[k][6 * static_cast<size_t>(s) + c] *
                                        (j.stiffness(k) / j.penalty[k] * j.nu[k]);
+    });
     system_->solve(rows);
-    double change = 0.0, size = 0.0;
-    for (Joint& j : joint_)
+    for_pairs([&](auto& j) {
       for (int k = 0; k < j.at.count; ++k) {
         double sum = j.nu[k] / j.penalty[k];
         for (int s = 0; s < 2; ++s)
           for (size_t r = 0; r < 6 && moves(j.body[s]); ++r)
             sum += j.by_lam[k][6 * static_cast<size_t>(s) + r] * rows[row(j.body[s])][r];
-        const double nu = j.stiffness(k) * sum;
-        change += (nu - j.nu[k]) * (nu - j.nu[k]);
-        size += nu * nu;
-        j.nu[k] = nu;
+        j.nu[k] = j.stiffness(k) * sum;
       }
+    });
     ++result.iterations;
-    const double before = result.residual;
-    result.residual = size > 0.0 ? std::sqrt(change / size) : 0.0;
+    const double last = result.residual;
+    result.residual = relative_change(before, rows);
+    before = rows;
     if (result.residual <= kSolved) break;
     // Rounding lets the residual fall no further.
-    if (result.residual <= kStalled && result.residual > 0.5 * before) break;
+    if (result.residual <= kStalled && result.residual > 0.5 * last) break;
   }
   for (size_t b = 0; b < mu_.size(); ++b)
     if (row_[b] >= 0) mu_[b] = rows[index(row_[b])];

@@ -28,18 +28,23 @@ class BodiesAdjoint {
                    int32_t sweeps);
 
  private:
-  // A joint with the derivatives of its forces and rows. Columns and force rows are those of body
-  // A, then of body B.
-  struct Joint {
-    DualJoint at;
+  // A joint or a contact, with the derivatives of its forces and rows. Columns and force rows are
+  // those of body A, then of body B.
+  template <class At>
+  struct Pair {
+    At at;
     int32_t body[2] = {-1, -1};
-    size_t index = 0;                       // of the model
+    size_t index = 0;                       // the joint of the model, or the contact of the step
     double by_lam[kMostRows][12] = {};      // force by multiplier
     double by_motion[kMostRows][12] = {};   // row by motion
     double compliance[kMostRows] = {}, penalty[kMostRows] = {};
     double nu[kMostRows] = {};  // adjoint of each row
     double stiffness(int k) const { return 1.0 / (compliance[k] + 1.0 / penalty[k]); }
+    // Adds the next row.
+    void add(float multiplier, double compliance_of_row, float rho);
   };
+  using Joint = Pair<DualJoint>;
+  using Touch = Pair<DualContact>;
   // The sums of the derivatives with respect to one array. Empty: not asked for.
   struct Sums {
     Array to;
@@ -58,26 +63,39 @@ class BodiesAdjoint {
   DualBody body_at(int32_t body) const;
   Joint joint_at(size_t k) const;
   static void add_rows(const VbdBodyJoint& j, const JointErrors& e, Joint& to);
-  void put_derivatives(Joint& j, BlockSystem& system) const;
-  void put_coupling(const Joint& j, BlockSystem& system) const;
+  void add_touch(size_t k);
+  // Calls visit(pair) for each joint and each contact that pushes.
+  template <class Visit>
+  void for_pairs(const Visit& visit) {
+    for (Joint& j : joint_) visit(j);
+    for (Touch& t : touch_) visit(t);
+  }
+  template <class At>
+  void put_derivatives(Pair<At>& j, BlockSystem& system) const;
+  template <class At>
+  void put_coupling(const Pair<At>& j, BlockSystem& system) const;
+  double relative_change(const std::vector<Row6>& before, const std::vector<Row6>& after) const;
   KrylovResult solve(int32_t sweeps);
   // Applies a direction to a copy of the joint or body. Returns minus the product of the adjoints
   // and the derivatives.
-  template <class Seed>
-  double along(const Joint& j, const Seed& seed) const;
+  template <class At, class Seed>
+  double along(const Pair<At>& j, const Seed& seed) const;
   template <class Seed>
   double along(int32_t body, const DualBody& at, const Seed& seed) const;
   void take_results(const VbdBodyDerivatives& adjoints, Gradients& to);
   void pull_bodies(Gradients& to) const;
   void pull_mass(int32_t body, const DualBody& at, Gradients& to) const;
-  void pull_joints(Gradients& to);
-  void pull_poses(const Joint& j, Gradients& to);
+  template <class At>
+  void pull_poses(const Pair<At>& j, Gradients& to);
+  void pull_material(const Touch& t, Gradients& to) const;
   void pull_axis(const Joint& j, Gradients& to) const;
   void pull_kinematic(Gradients& to) const;
 
   const SolvedBodies step_;
   std::vector<int32_t> row_;   // of each body: its row in the system, or -1: kinematic
+  int32_t rows_ = 0;
   std::vector<Joint> joint_;
+  std::vector<Touch> touch_;  // the contacts that push
   std::vector<Row6> load_;     // adjoint of the motion of each body
   std::vector<Row6> mu_;       // adjoint of the forces on each body; kinematic: 0
   std::optional<BlockSystem> system_;

@@ -19,6 +19,13 @@ std::tuple<int32_t, int32_t, int32_t> key_of(const ContactMemory& m) {
 
 }  // namespace
 
+bool is_world_plane(const Model& m, int32_t shape) {
+  const auto s = at(shape);
+  const Vec3f& size = m.shape_scale.data()[s];
+  return m.shape_body.data()[s] < 0 && !(size.x > 0.0f && size.y > 0.0f) &&
+         m.shape_type.data()[s] == static_cast<int32_t>(GeoType::PLANE);
+}
+
 void Bodies::put_contacts(const SimState& in, const Contacts& contacts) {
   const auto* const memory = memory_at<ContactMemory>(contacts_at());
   recalled_.clear();
@@ -59,28 +66,32 @@ void Bodies::put_contact(const SimState& in, const Contacts& contacts, size_t sl
   }
   const BodySide sides[2] = {{m, in, is_kinematic_.data(), c.body[0]},
                              {m, in, is_kinematic_.data(), c.body[1]}};
-  const auto of_pair = [&](const DeviceArray<float>& of_rows, const DeviceArray<float>& of_shapes) {
+  const auto of_pair = [&](const DeviceArray<float>& of_rows, const DeviceArray<float>& of_shapes,
+                           bool& has_own) {
     const float own = of_rows.rows() == 0 ? 0.0f : of_rows.data()[slot];
     const float mean = 0.5f * (of_shapes.data()[shapes[0]] + of_shapes.data()[shapes[1]]);
-    return own > 0.0f ? own : mean;
+    has_own = own > 0.0f;
+    return has_own ? own : mean;
   };
-  c.stiffness = of_pair(contacts.rigid_contact_stiffness, m.shape_material_ke);
-  if (!(sides[0].moves || sides[1].moves) || c.stiffness == 0.0f) return;
-  c.damping_by_h = of_pair(contacts.rigid_contact_damping, m.shape_material_kd) / dt_;
-  c.mu = of_pair(contacts.rigid_contact_friction, m.shape_material_mu);
-  c.normal = contacts.rigid_contact_normal.data()[slot];
-  const float margins[2] = {contacts.rigid_contact_margin0.data()[slot],
-                            -contacts.rigid_contact_margin1.data()[slot]};
-  const Vec3f points[2] = {
-      math::transform_point(sides[0].pose, contacts.rigid_contact_point0.data()[slot]),
-      math::transform_point(sides[1].pose, contacts.rigid_contact_point1.data()[slot])};
-  const Vec3f n = c.normal, surfaces[2] = {points[0] + n * margins[0], points[1] + n * margins[1]};
-  c.gap = math::dot(n, surfaces[1] - surfaces[0]);
-  const Vec3f middle = (surfaces[0] + surfaces[1]) * 0.5f;
+  ContactOrigin origin = {.start = {}, .shape = {shapes[0], shapes[1]}};
+  ContactStart<float>& start = origin.start;
+  start.stiffness = of_pair(contacts.rigid_contact_stiffness, m.shape_material_ke, origin.has_ke);
+  if (!(sides[0].moves || sides[1].moves) || start.stiffness == 0.0f) return;
+  start.damping = of_pair(contacts.rigid_contact_damping, m.shape_material_kd, origin.has_kd);
+  start.mu = of_pair(contacts.rigid_contact_friction, m.shape_material_mu, origin.has_mu);
+  start.normal = contacts.rigid_contact_normal.data()[slot];
+  start.margin[0] = contacts.rigid_contact_margin0.data()[slot];
+  start.margin[1] = contacts.rigid_contact_margin1.data()[slot];
+  start.point[0] = contacts.rigid_contact_point0.data()[slot];
+  start.point[1] = contacts.rigid_contact_point1.data()[slot];
+  Vec3f points[2];
   for (int k = 0; k < 2; ++k) {
-    c.core[k] = points[k] - sides[k].center;
-    c.arm[k] = middle - sides[k].center;
+    start.pose[k] = sides[k].pose;
+    if (c.body[k] >= 0) start.com[k] = m.body_com.data()[c.body[k]];
+    points[k] = math::transform_point(start.pose[k], start.point[k]);
   }
+  start_contact(start, points, dt_, c);
+  const Vec3f n = c.normal;
   const Perpendicular p = perpendicular(n);
   float w[3];
   for (int k = 0; k < 3; ++k)
@@ -94,6 +105,7 @@ void Bodies::put_contact(const SimState& in, const Contacts& contacts, size_t sl
   recall_contact(contacts, slot, math::dot(n, velocity(0) - velocity(1)), c);
   c.gap += c.ignored;
   contact_.push_back(c);
+  contact_origin_.push_back(origin);
   contact_slots_.push_back(static_cast<int32_t>(slot));
 }
 

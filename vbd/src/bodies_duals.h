@@ -68,19 +68,19 @@ struct DualJoint {
   float whole_turns = 0.0f;         // rad: the coordinate without the angle in [-pi, pi]
 };
 
-struct DualJointValues {
+struct DualValues {
   SpatialVector<DualFloat> on[2];    // force and moment on each body
   DualFloat error[kMostRows] = {};  // C - lam/K of each row
 };
 
-inline DualJointValues values_of(const DualJoint& s, float h) {
+inline DualValues values_of(const DualJoint& s, float h) {
   VbdBodyJointOf<DualFloat> j = joint_geometry(s.start);
   if (has_coordinate(j.kind)) j.coordinate = joint_coordinate(j) + DualFloat(s.whole_turns);
   put_rows(s.start, h, j);
   DualMotion motion[2] = {s.motion[0], s.motion[1]};
   for (DualMotion& m : motion) m.turn = log_rotation(m.turned);
   const JointErrorsOf<DualFloat> e = joint_errors(j, motion[0], motion[1]);
-  DualJointValues to;
+  DualValues to;
   JointRowForces<DualFloat> forces;
   forces.axis = j.force;
   for (int r = 0; r < kVbdAxisRows; ++r)
@@ -105,6 +105,60 @@ inline DualJointValues values_of(const DualJoint& s, float h) {
   }
   const SpatialVector<DualFloat> wrench = joint_wrench(j, e, forces);
   for (int side = 0; side < 2; ++side) to.on[side] = wrench_on(wrench, e.arm[side], side);
+  return to;
+}
+
+inline Transform<DualFloat>& start_pose(DualJoint& s, int side) { return s.start.side[side].pose; }
+
+// A contact that pushes at the solution. Rows: the depth, and two of slip if the contact sticks.
+struct DualContact {
+  ContactStart<DualFloat> start;
+  DualMotion motion[2];
+  DualFloat lam[kMostRows];
+  int count = 0;              // 1, or 3 if the contact sticks
+  bool is_plane[2] = {};      // an endless plane of the world whose point follows the other one
+  float ignored = 0.0f;       // m, see VbdBodyContact
+  Vec3f slides{};             // direction of the friction on B of a contact that slips; else 0
+  float least_slip = 0.0f;    // m: below it, the direction of friction turns as at this slip
+};
+
+inline Transform<DualFloat>& start_pose(DualContact& s, int side) { return s.start.pose[side]; }
+
+// Returns the direction of friction, which turns with the slip.
+inline Vec3<DualFloat> friction_direction(const DualContact& s, const Vec3<DualFloat>& slip) {
+  const Vec3f d = s.slides, by = math::tangent_of(slip);
+  const float size = math::max(math::length(math::value_of(slip)), s.least_slip);
+  return math::with_tangent(d, (by - d * math::dot(d, by)) * (-1.0f / size));
+}
+
+inline DualValues values_of(const DualContact& s, float h) {
+  VbdBodyContactOf<DualFloat> c;
+  Vec3<DualFloat> points[2];
+  for (int k = 0; k < 2; ++k) points[k] = math::transform_point(s.start.pose[k], s.start.point[k]);
+  const Vec3f n = math::value_of(s.start.normal);
+  for (int k = 0; k < 2; ++k) {
+    if (!s.is_plane[k]) continue;
+    const Vec3f by = math::tangent_of(points[1 - k]);
+    points[k] = math::with_tangent(math::value_of(points[k]), by - n * math::dot(n, by));
+  }
+  start_contact(s.start, points, h, c);
+  c.gap = c.gap + DualFloat(s.ignored);
+  DualMotion motion[2] = {s.motion[0], s.motion[1]};
+  for (DualMotion& m : motion) m.turn = log_rotation(m.turned);
+  const DualFloat depth = contact_depth(c, motion[0], motion[1]);
+  const DualFloat normal = s.lam[0] + contact_damping(c, depth) * (depth + c.gap);
+  const Vec3<DualFloat> slip = contact_slip(c, motion[0], motion[1]);
+  DualValues to;
+  to.error[0] = depth - s.lam[0] / c.stiffness;
+  Vec3<DualFloat> force = c.normal * normal;
+  const PerpendicularOf<DualFloat> across = perpendicular(c.normal);
+  for (int k = 1; k < s.count; ++k) {
+    force = force + across.t[k - 1] * s.lam[k];
+    to.error[k] = -math::dot(across.t[k - 1], slip);
+  }
+  if (math::dot(s.slides, s.slides) > 0.0f)
+    force = force + friction_direction(s, slip) * (c.mu * normal);
+  for (int side = 0; side < 2; ++side) to.on[side] = wrench_on({force, {}}, c.arm[side], side);
   return to;
 }
 

@@ -49,14 +49,19 @@ struct BodiesAdjoint::Gradients {
         damping(d.joint_damping),
         armature(d.joint_armature),
         friction(d.joint_friction),
+        contact_ke(d.shape_material_ke),
+        contact_kd(d.shape_material_kd),
+        contact_mu(d.shape_material_mu),
         turn(bodies) {}
   void write() {
     for (Sums* const sums : {&body_q, &body_qd, &body_f, &gravity, &body_mass, &body_inertia,
-                             &joint_f, &target, &rate, &ke, &kd, &damping, &armature, &friction})
+                             &joint_f, &target, &rate, &ke, &kd, &damping, &armature, &friction,
+                             &contact_ke, &contact_kd, &contact_mu})
       sums->write();
   }
   Sums body_q, body_qd, body_f, gravity, body_mass, body_inertia;
   Sums joint_f, target, rate, ke, kd, damping, armature, friction;
+  Sums contact_ke, contact_kd, contact_mu;
   std::vector<Vec3d> turn;  // by the rotation of each body at the start, world frame
 };
 
@@ -66,11 +71,11 @@ void BodiesAdjoint::Sums::write() {
   for (size_t k = 0; k < of.size(); ++k) rows[k] = static_cast<float>(of[k]);
 }
 
-template <class Seed>
-double BodiesAdjoint::along(const Joint& j, const Seed& seed) const {
-  DualJoint at = j.at;
+template <class At, class Seed>
+double BodiesAdjoint::along(const Pair<At>& j, const Seed& seed) const {
+  At at = j.at;
   seed(at);
-  const DualJointValues values = values_of(at, step_.dt);
+  const DualValues values = values_of(at, step_.dt);
   double sum = 0.0;
   for (int s = 0; s < 2; ++s)
     if (moves(j.body[s])) sum += product(mu_[index(j.body[s])], values.on[s]);
@@ -91,7 +96,9 @@ KrylovResult BodiesAdjoint::run(const VbdBodyDerivatives& adjoints,
   take_results(adjoints, to);
   const KrylovResult result = solve(sweeps);
   pull_bodies(to);
-  pull_joints(to);
+  for_pairs([&](const auto& pair) { pull_poses(pair, to); });
+  for (const Joint& j : joint_) pull_axis(j, to);
+  for (const Touch& t : touch_) pull_material(t, to);
   pull_kinematic(to);
   for (size_t b = 0; b < to.turn.size(); ++b) {
     const Vec3d& w = to.turn[b];
@@ -183,30 +190,19 @@ void BodiesAdjoint::pull_mass(int32_t body, const DualBody& base, Gradients& to)
     }
 }
 
-void BodiesAdjoint::pull_joints(Gradients& to) {
-  for (const Joint& j : joint_) {
-    pull_poses(j, to);
-    pull_axis(j, to);
-  }
-}
-
-void BodiesAdjoint::pull_poses(const Joint& j, Gradients& to) {
+template <class At>
+void BodiesAdjoint::pull_poses(const Pair<At>& j, Gradients& to) {
   for (int s = 0; s < 2; ++s) {
     if (j.body[s] < 0) continue;
     const size_t b = index(j.body[s]);
     for (int k = 0; k < 3; ++k) {
       const auto n = static_cast<size_t>(k);
-      const auto by = [&](const auto& seed) {
-        return along(j, [&](DualJoint& d) { seed(d.start.side[s]); });
-      };
-      using Side = JointSide<DualFloat>;
-      to.body_q.add(7 * b + n, by([k](Side& d) { vbd::part(d.pose.p, k).d = 1.0f; }));
-      part(to.turn[b], k) += by([k](Side& d) { turn_about(d.pose.q, k); });
-      to.body_qd.add(6 * b + n, by([k](Side& d) { vbd::part(d.qd.linear, k).d = 1.0f; }));
-      to.body_qd.add(6 * b + 3 + n, by([k](Side& d) { vbd::part(d.qd.angular, k).d = 1.0f; }));
+      to.body_q.add(7 * b + n,
+                    along(j, [&](At& d) { vbd::part(start_pose(d, s).p, k).d = 1.0f; }));
+      part(to.turn[b], k) += along(j, [&](At& d) { turn_about(start_pose(d, s).q, k); });
       if (moves(j.body[s])) continue;
       for (const int c : {k, k + 3})
-        load_[b][static_cast<size_t>(c)] += along(j, [&](DualJoint& d) {
+        load_[b][static_cast<size_t>(c)] += along(j, [&](At& d) {
           DualMotion& m = d.motion[s];
           if (c < 3) {
             vbd::part(m.moved, c).d = 1.0f;
@@ -234,6 +230,18 @@ void BodiesAdjoint::pull_axis(const Joint& j, Gradients& to) const {
     }
   }
   if (!has_coordinate(j.at.start.kind)) return;
+  for (int s = 0; s < 2; ++s) {  // the rate acts by the armature
+    if (j.body[s] < 0) continue;
+    for (int k = 0; k < 3; ++k) {
+      const size_t linear = 6 * index(j.body[s]) + static_cast<size_t>(k);
+      using V = SpatialVector<DualFloat>;
+      const auto by = [&](Vec3<DualFloat> V::*of) {
+        return along(j, [&](DualJoint& d) { vbd::part(d.start.side[s].qd.*of, k).d = 1.0f; });
+      };
+      to.body_qd.add(linear, by(&V::linear));
+      to.body_qd.add(linear + 3, by(&V::angular));
+    }
+  }
   const DriveUse use = drive_use(step_.model, dof);
   add(to.joint_f, dof, &Axis::force);
   if (use.spring) {
@@ -245,6 +253,19 @@ void BodiesAdjoint::pull_axis(const Joint& j, Gradients& to) const {
   add(to.damping, dof, &Axis::damping);
   add(to.armature, dof, &Axis::armature);
   add(to.friction, dof, &Axis::friction);
+}
+
+// A coefficient of the pair is half the sum of those of the shapes, unless the row has its own.
+void BodiesAdjoint::pull_material(const Touch& t, Gradients& to) const {
+  const ContactOrigin& origin = step_.solution.contact_origin[t.index];
+  const auto add = [&](Sums& sums, bool of_row, DualFloat ContactStart<DualFloat>::*of) {
+    if (sums.of.empty() || of_row) return;
+    const double half = 0.5 * along(t, [&](DualContact& d) { (d.start.*of).d = 1.0f; });
+    for (const int32_t shape : origin.shape) sums.add(index(shape), half);
+  };
+  add(to.contact_ke, origin.has_ke, &ContactStart<DualFloat>::stiffness);
+  add(to.contact_kd, origin.has_kd, &ContactStart<DualFloat>::damping);
+  add(to.contact_mu, origin.has_mu, &ContactStart<DualFloat>::mu);
 }
 
 // A kinematic body moves by h v and by exp(h w).

@@ -49,6 +49,29 @@ void add_joint(BodyResidual& to, const VbdBody& body, const VbdBodyJoint& j, int
   }
 }
 
+// As add_joint, for a contact.
+void add_contact(BodyResidual& to, const VbdBody& body, const VbdBodyContact& c, int side,
+                 const VbdBodyMotion& a, const VbdBodyMotion& b, float slip_bound) {
+  const ContactForce f = contact_force(c, a, b, slip_bound);
+  if (f.normal == 0.0f) return;
+  const Vec3f& arm = c.arm[side];
+  const SpatialVectorf wrench = wrench_on({c.normal * f.normal + f.friction, {}}, arm, side);
+  to.force = to.force + wrench;
+  to.scale += norm_on(body, wrench);
+  const double length = size_of(a.moved) + size_of(b.moved) +
+                        size_of(math::cross(a.turn, c.arm[0])) +
+                        size_of(math::cross(b.turn, c.arm[1])) + std::abs(wide(c.gap));
+  for_contact_rows(c, f, [&](float k, const Vec3f& linear) {
+    to.floor += wide(k) * kRounding * length * norm_on(body, {linear, math::cross(arm, linear)});
+  });
+}
+
+// Returns the friction of a contact at the border of its cone. Inside of the cone: 0.
+Vec3f sliding_friction(const VbdBodyContact& c) {
+  const float cone = 0.9999f * c.mu * c.lam_n;
+  return math::dot(c.lam_t, c.lam_t) > cone * cone ? c.lam_t : Vec3f{};
+}
+
 }  // namespace
 
 VbdResidual Bodies::residual() const {
@@ -66,9 +89,16 @@ VbdResidual Bodies::residual() const {
       sum.scale = norm_on(body, sum.force);
       sum.floor = kRounding * wide(body.mass_by_h2) * size_of(motion.moved);
       for (const int32_t item : graph_.rows.of(b)) {
-        const VbdBodyJoint& j = joint_[static_cast<size_t>(item >> 3)];
-        add_joint(sum, body, j, item & 1, motion_of(motion_.data(), j.body[0]),
-                  motion_of(motion_.data(), j.body[1]));
+        const auto k = static_cast<size_t>(item >> 3);
+        const auto at = [&](int32_t which) { return motion_of(motion_.data(), which); };
+        if (((item >> 1) & 3) == kContactRow) {
+          const VbdBodyContact& c = contact_[k];
+          add_contact(sum, body, c, item & 1, at(c.body[0]), at(c.body[1]),
+                      options_.friction_epsilon * dt_);
+        } else {
+          const VbdBodyJoint& j = joint_[k];
+          add_joint(sum, body, j, item & 1, at(j.body[0]), at(j.body[1]));
+        }
       }
       const double force = norm_on(body, sum.force);
       of.force += force * force;
@@ -90,11 +120,19 @@ VbdResidual Bodies::residual() const {
 
 void Bodies::iterate_to_solution() {
   constexpr float kSofter = 0.25f;
-  std::vector<float> before;
+  last_rows_.clear();
+  last_friction_.clear();
   for (const VbdBodyJoint& j : joint_)
-    for (const VbdAxisRow& row : j.rows) before.push_back(row.lam);
+    for (const VbdAxisRow& row : j.rows) last_rows_.push_back(row.lam);
+  for (const VbdBodyContact& c : contact_) last_friction_.push_back(sliding_friction(c));
   iterate();
-  auto last = before.begin();
+  for (size_t k = 0; k < contact_.size(); ++k) {
+    VbdBodyContact& c = contact_[k];
+    const Vec3f before = last_friction_[k];
+    const bool slid = math::dot(before, before) > 0.0f;
+    if (slid && !(math::dot(before, sliding_friction(c)) > 0.0f)) c.rho_t *= kSofter;
+  }
+  auto last = last_rows_.begin();
   for (VbdBodyJoint& j : joint_)
     for (VbdAxisRow& row : j.rows) {
       const float lam = *last++;
@@ -108,7 +146,9 @@ VbdBodySolution Bodies::solution() const {
   return {.motion = motion_,
           .joint = joint_,
           .joints = joints_,
-          .is_kinematic = is_kinematic_.to_host()};
+          .is_kinematic = is_kinematic_.to_host(),
+          .contact = contact_,
+          .contact_origin = contact_origin_};
 }
 
 }  // namespace novaphy::vbd

@@ -31,7 +31,10 @@ std::vector<RecordedBodies::Input> RecordedBodies::differentiable() const {
       {m.joint_target_kd, &D::joint_target_kd},
       {m.joint_damping, &D::joint_damping},
       {m.joint_armature, &D::joint_armature},
-      {m.joint_friction, &D::joint_friction}};
+      {m.joint_friction, &D::joint_friction},
+      {m.shape_material_ke, &D::shape_material_ke},
+      {m.shape_material_kd, &D::shape_material_kd},
+      {m.shape_material_mu, &D::shape_material_mu}};
   std::vector<Input> all;
   for (const auto& [array, derivative] : arrays)
     if (array.rows() != 0) all.push_back({tensor_of(nova::operand_of(array)), derivative});
@@ -63,6 +66,53 @@ void RecordedBodies::backward(std::span<const Tensor> outputs,
                        nova::DType::F32));
 }
 
+namespace {
+
+// Makes the step with views of its inputs.
+std::shared_ptr<RecordedBodies> step_of(const std::shared_ptr<const Model>& model,
+                                        const SimState& in, const StepInputs& inputs) {
+  const UntrackedScope untracked;
+  auto step = std::make_shared<RecordedBodies>();
+  step->model = model;
+  step->dt = inputs.dt;
+  step->of_rollout = inputs.step;
+  StateFields fields = in;
+  fields.body_f = DeviceArray<SpatialVectorf>(
+      Array(novaphy::DType::spatial_vector, static_cast<size_t>(inputs.body_forces.rows), 1,
+            inputs.body_forces.range));
+  step->in = std::make_shared<const SimState>(*model, std::move(fields));
+  if (inputs.control != nullptr) {
+    const auto control = std::make_shared<Control>(*model);
+    static_cast<ControlFields&>(*control) = *inputs.control;
+    step->control = control;
+  }
+  return step;
+}
+
+// Returns whether the contacts of a step were found from its state. A rollout with given contacts
+// holds all of them.
+bool contacts_follow(const Model& m, const SimState& in, const StepInputs& inputs) {
+  if (inputs.step >= 0) return inputs.tables != nullptr;
+  return inputs.contacts != nullptr && inputs.contacts->rigid_contacts_found_from(m, in.body_q);
+}
+
+NotedStep noted_step(const SimState& in, const SimState& out, const Contacts* contacts,
+                     bool freezes) {
+  const UntrackedScope untracked;
+  NotedStep noted;
+  noted.start = in.body_q.range()->data();
+  noted.end = out.body_q.range()->data();
+  noted.body_q = freezes ? out.body_q : in.body_q;
+  noted.body_qd = freezes ? out.body_qd : in.body_qd;
+  if (contacts == nullptr) return noted;
+  noted.contacts = std::make_shared<const Contacts>(contacts->clone());
+  noted.rigid = true;
+  noted.rigid_contact_moves = !freezes;
+  return noted;
+}
+
+}  // namespace
+
 void DiffSolverVBD::record_bodies(const SimState& in, const SimState& out,
                                   const StepInputs& inputs) {
   const Model& m = *model();
@@ -71,24 +121,8 @@ void DiffSolverVBD::record_bodies(const SimState& in, const SimState& out,
   require(inputs.checkpoints == nullptr, ErrorKind::NotImplemented, "DiffSolverVBD.rollout",
           ": trajectory: expected all states kept (checkpoint=1) for a model with bodies");
   nova::Tape* const tape = nova::Tape::active();
-  auto step = std::make_shared<RecordedBodies>();
-  step->model = model();
+  const std::shared_ptr<RecordedBodies> step = step_of(model(), in, inputs);
   step->steps = bodies_;
-  step->dt = inputs.dt;
-  step->of_rollout = inputs.step;
-  {
-    const UntrackedScope untracked;
-    StateFields fields = in;
-    fields.body_f = DeviceArray<SpatialVectorf>(
-        Array(novaphy::DType::spatial_vector, static_cast<size_t>(inputs.body_forces.rows), 1,
-              inputs.body_forces.range));
-    step->in = std::make_shared<const SimState>(m, std::move(fields));
-    if (inputs.control != nullptr) {
-      const auto control = std::make_shared<Control>(m);
-      static_cast<ControlFields&>(*control) = *inputs.control;
-      step->control = control;
-    }
-  }
   std::vector<Tensor> tensors;
   for (const RecordedBodies::Input& input : step->differentiable())
     tensors.push_back(input.tensor);
@@ -99,16 +133,12 @@ void DiffSolverVBD::record_bodies(const SimState& in, const SimState& out,
     DeviceArray<SpatialVectorf> qd_out = out.body_qd;
     q_out.mutable_data();
     qd_out.mutable_data();
-    step->solution =
-        bodies_->forward(*step->in, out, step->control.get(), inputs.contacts, inputs.dt);
+    step->solution = bodies_->forward(*step->in, out, step->control.get(), inputs.contacts,
+                                      inputs.dt, contacts_follow(m, in, inputs));
   }
   if (tape == nullptr) return;
-  NotedStep noted;
-  noted.start = in.body_q.range()->data();
-  noted.end = out.body_q.range()->data();
-  noted.body_q = in.body_q;
-  noted.body_qd = in.body_qd;
-  note_step(std::move(noted), true);
+  note_step(noted_step(in, out, inputs.contacts, bodies_->has_frozen_contacts(*step->solution)),
+            true);
   nova::CustomOp op;
   op.name = "vbd_bodies_step";
   op.inputs = tensors;

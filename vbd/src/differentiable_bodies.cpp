@@ -22,14 +22,6 @@ void check_covered(const Model& m, const VbdGradientOptions& g) {
           ": gradient: expected \"implicit\" for a model with bodies, got \"unrolled\"");
 }
 
-void check_contacts(const Contacts* contacts) {
-  if (contacts == nullptr || contacts->rigid_contact_max() == 0) return;
-  const int32_t count = *contacts->rigid_contact_count.data();
-  require(count == 0, ErrorKind::NotImplemented, kName,
-          ".step: contacts: expected no contacts of bodies, which have no gradient, got ", count,
-          "; use SolverVBD");
-}
-
 }  // namespace
 
 struct DifferentiableBodies::Work {
@@ -88,17 +80,19 @@ std::shared_ptr<const VbdBodySolution> DifferentiableBodies::forward(const SimSt
                                                                      const SimState& out,
                                                                      const Control* control,
                                                                      const Contacts* contacts,
-                                                                     float dt) {
+                                                                     float dt,
+                                                                     bool contacts_follow) {
   Work& w = *work_;
   const ExclusiveUse::Scope scope(w.in_use, "DifferentiableBodies.forward", "the solver");
   const UntrackedScope untracked;
   const Unrecorded unrecorded;
-  check_contacts(contacts);
+  if (contacts != nullptr) w.bodies.reserve(contacts->rigid_contact_max());
   model_->update_derived();
   model_->check_structure(kName);
-  w.bodies.begin(in, control, nullptr, dt);
+  w.bodies.begin(in, control, contacts, dt);
   w.solve();
-  w.bodies.finish(in, out, nullptr);
+  w.bodies.finish(in, out, contacts);
+  w.solution->contacts_follow = contacts_follow;
   return std::exchange(w.solution, {});
 }
 
@@ -124,6 +118,18 @@ void DifferentiableBodies::backward(const VbdBodySolution& solution, const SimSt
   w.info = {"implicit",         solution.residual,           linear.residual,
             linear.iterations, solved && solution.is_solved, 0};
   w.has_info = true;
+}
+
+bool DifferentiableBodies::has_frozen_contacts(const VbdBodySolution& solution) const {
+  for (size_t k = 0; k < solution.contact.size(); ++k) {
+    const int32_t(&shape)[2] = solution.contact_origin[k].shape;
+    const VbdBodyContact& c = solution.contact[k];
+    const bool is_exact =
+        solution.contacts_follow && (vbd::is_world_plane(*model_, shape[0]) ||
+                                     vbd::is_world_plane(*model_, shape[1]));
+    if (c.lam_n > 0.0f && (!is_exact || c.ignored > 0.0f)) return true;
+  }
+  return false;
 }
 
 VbdGradientInfo DifferentiableBodies::info() const {

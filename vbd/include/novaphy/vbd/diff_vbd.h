@@ -57,10 +57,12 @@ struct DiffVbdOptions {
 // element is 0.
 //
 // A model with bodies and without particles has implicit gradients (DifferentiableBodies), on the
-// CPU, outside of captures, without contacts and without jvp or checkpoints:
+// CPU, outside of captures, and without jvp or checkpoints:
 //   body_q, body_qd, body_f, gravity, body_mass and its inverse, body_inertia          exact
 //   joint_f, joint_target_q, joint_target_qd, of the control or the model              exact
 //   joint_target_ke, joint_target_kd, joint_damping, joint_armature, joint_friction    exact
+//   shape_material_ke, _kd, _mu                          exact
+//   points and normals of contacts                       frozen; endless planes: exact
 //
 // "Exact" refers to the iterations that ran. With implicit gradients "exact" refers to the solution
 // of the step, within the residuals of gradient_info().

@@ -26,6 +26,7 @@ struct VbdBodyDerivatives {
   Array joint_f = {}, joint_target_q = {}, joint_target_qd = {};
   Array joint_target_ke = {}, joint_target_kd = {};
   Array joint_damping = {}, joint_armature = {}, joint_friction = {};
+  Array shape_material_ke = {}, shape_material_kd = {}, shape_material_mu = {};
 };
 
 // A step solves the balance of forces of each body, and an equation for each row of a joint that
@@ -35,6 +36,12 @@ struct VbdBodyDerivatives {
 // A^T (mu, nu) = (xbar, 0), with the adjoint xbar of x. The derivative with respect to an input p
 // is -mu df/dp - nu d(C - lam/K)/dp. All derivatives are those of the laws by dual numbers. The
 // solution does not depend on the multipliers of the previous step.
+//
+// A contact that pushes has a row of the depth, and two rows of slip if it sticks. If it slips, its
+// friction is mu times the normal force against the slip. The normals are constant, and the points
+// are fixed to their bodies. If the contacts were found from the state, the point on an endless
+// plane follows the other point, so that contacts with such planes are exact. The depth that the
+// first step ignores is constant.
 //
 // The system is solved by block elimination, and by the method of multipliers for hard rows. The
 // arithmetic is in double precision. The bits do not depend on the number of threads.
@@ -48,14 +55,17 @@ class NOVAPHY_VBD_API DifferentiableBodies {
 
   // Runs a step, and iterates to its solution. The first iterations are those of SolverVBD. At most
   // newton_iterations more follow. ErrorKind::Runtime: the step was not solved, unless
-  // allow_unconverged. ErrorKind::NotImplemented: contacts of bodies.
+  // allow_unconverged. `contacts_follow`: whether the contacts were found from the state.
   std::shared_ptr<const VbdBodySolution> forward(const SimState& in, const SimState& out,
                                                  const Control* control, const Contacts* contacts,
-                                                 float dt);
+                                                 float dt, bool contacts_follow = false);
   // Computes the derivatives of a scalar with respect to the inputs of a step, which gave
   // `solution`, from the adjoints of its results.
   void backward(const VbdBodySolution& solution, const SimState& in, const Control* control,
                 float dt, const VbdBodyDerivatives& adjoints, const VbdBodyDerivatives& gradients);
+  // Returns whether a contact pushes whose points, normal or ignored depth depend on the state. The
+  // derivatives keep them constant.
+  bool has_frozen_contacts(const VbdBodySolution& solution) const;
   // Describes the last backward. ErrorKind::Runtime: none ran yet.
   VbdGradientInfo info() const;
   // Forgets the multipliers and turns of joints of the previous step.

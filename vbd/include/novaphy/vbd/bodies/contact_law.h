@@ -29,20 +29,52 @@
 
 namespace novaphy {
 
-struct alignas(16) VbdBodyContact {
+template <class T>
+struct alignas(16) VbdBodyContactOf {
   using Element = Vec4f;
   int32_t body[2] = {-1, -1};
-  float gap = 0.0f, stiffness = 0.0f;
-  Vec3f normal{};
-  float damping_by_h = 0.0f;
-  Vec3f core[2] = {}, arm[2] = {};
-  float mu = 0.0f, rho = 0.0f, rho_t = 0.0f, lam_n = 0.0f;
-  Vec3f lam_t{};
+  T gap{}, stiffness{};
+  Vec3<T> normal{};
+  T damping_by_h{};
+  Vec3<T> core[2] = {}, arm[2] = {};
+  T mu{};
+  float rho = 0.0f, rho_t = 0.0f;
+  T lam_n{};
+  Vec3<T> lam_t{};
   float in_trees = 1.0f;  // scales the stiffness in the blocks of trees (bodies_kernels.h)
   float ignored = 0.0f;
 };
+using VbdBodyContact = VbdBodyContactOf<float>;
 
 namespace vbd {
+
+// A contact at the start of a step: the poses and centers of mass of its bodies, and the points of
+// the cores in the axes of the bodies.
+template <class T>
+struct ContactStart {
+  Transform<T> pose[2];
+  Vec3<T> com[2], point[2], normal{};
+  T margin[2] = {}, stiffness{}, damping{}, mu{};
+};
+
+// Sets the geometry of a contact, and its law. `points`: those of the cores, world frame.
+template <class T>
+void start_contact(const ContactStart<T>& start, const Vec3<T> (&points)[2], float h,
+                   VbdBodyContactOf<T>& to) {
+  to.stiffness = start.stiffness;
+  to.damping_by_h = start.damping / T(h);
+  to.mu = start.mu;
+  to.normal = start.normal;
+  const Vec3<T> n = to.normal;
+  const Vec3<T> surfaces[2] = {points[0] + n * start.margin[0], points[1] + n * -start.margin[1]};
+  to.gap = math::dot(n, surfaces[1] - surfaces[0]);
+  const Vec3<T> middle = (surfaces[0] + surfaces[1]) * T(0.5f);
+  for (int k = 0; k < 2; ++k) {
+    const Vec3<T> center = math::transform_point(start.pose[k], start.com[k]);
+    to.core[k] = points[k] - center;
+    to.arm[k] = middle - center;
+  }
+}
 
 // The force on B (N) and its stiffness (N/m): k_n n n^T + k_t (1 - n n^T - t t^T) + k_s t t^T, with
 // the direction of the slip t.
@@ -51,22 +83,26 @@ struct ContactForce {
   Vec3f friction{}, slip_direction{};
 };
 
-inline float contact_depth(const VbdBodyContact& c, const VbdBodyMotion& a,
-                           const VbdBodyMotion& b) {
-  const Vec3f move = (b.moved + rotate_change(b.turned, c.core[1])) -
-                     (a.moved + rotate_change(a.turned, c.core[0]));
+template <class T>
+T contact_depth(const VbdBodyContactOf<T>& c, const VbdBodyMotionOf<T>& a,
+                const VbdBodyMotionOf<T>& b) {
+  const Vec3<T> move = (b.moved + rotate_change(b.turned, c.core[1])) -
+                       (a.moved + rotate_change(a.turned, c.core[0]));
   return -(c.gap + math::dot(c.normal, move));
 }
 
-inline Vec3f contact_slip(const VbdBodyContact& c, const VbdBodyMotion& a, const VbdBodyMotion& b) {
-  const Vec3f move =
+template <class T>
+Vec3<T> contact_slip(const VbdBodyContactOf<T>& c, const VbdBodyMotionOf<T>& a,
+                     const VbdBodyMotionOf<T>& b) {
+  const Vec3<T> move =
       (b.moved + math::cross(b.turn, c.arm[1])) - (a.moved + math::cross(a.turn, c.arm[0]));
   return move - c.normal * math::dot(c.normal, move);
 }
 
 // Returns the part k_d of the stiffness that damping adds: its force is k_d (C - C_0).
-inline float contact_damping(const VbdBodyContact& c, float depth) {
-  return depth > 0.0f && depth + c.gap > 0.0f ? c.damping_by_h : 0.0f;
+template <class T>
+T contact_damping(const VbdBodyContactOf<T>& c, const T& depth) {
+  return depth > T(0.0f) && depth + c.gap > T(0.0f) ? c.damping_by_h : T(0.0f);
 }
 
 // Returns v, shortened to the length `limit` if v is longer.

@@ -86,6 +86,10 @@ std::optional<TouchedStep> DiffSemiImplicitSolver::begin_touches(
     motion_->hold(in, out, "inside a ScopedCapture", touches_, witness()->touches);
     return {};
   }
+  if (motion_->alternates(in)) {
+    motion_->hold(in, out, "in loops of one solver that alternate", touches_, witness()->touches);
+    return {};
+  }
   return motion_->begin(*model(), in, out, forces, body_forces, control, contacts,
                         kf_rate(config_.particle_kf_bound, dt), dt, touches_, witness()->touches);
 }

@@ -90,6 +90,14 @@ struct TouchMotion::Impl {
     return settings.bodies ? of(s.body_q, s.body_qd) : of(s.particle_q, s.particle_qd);
   }
 
+  // Keeps the end of a step, in place of the end where the step starts.
+  void remember(const SimState& in, const SimState& out, uint64_t version) {
+    if (ends.erase(place(in).first) == 0)
+      std::erase_if(ends, [](const auto& end) { return end.second.memory.expired(); });
+    ends[place(out).first] = {settings.bodies ? out.body_q.range() : out.particle_q.range(),
+                              version};
+  }
+
   TouchArrays arrays(const StateFields& s, const nova::Operand& body_f,
                      const nova::Operand& particle_f) const {
     TouchArrays all;
@@ -140,6 +148,13 @@ struct TouchMotion::Impl {
   std::unordered_map<PairKey, std::shared_ptr<TouchEvent>> open_of, closing_of;
   // Ramps (contacts near their begin) of the last step whose touch may still begin.
   std::unordered_multimap<PairKey, std::shared_ptr<TouchRamp>> waiting;
+  // The end of the last step of each chain of steps, by its memory.
+  struct End {
+    std::weak_ptr<const void> memory;
+    uint64_t version = kUnknown;
+  };
+  static constexpr uint64_t kUnknown = ~uint64_t{0};
+  std::unordered_map<const void*, End> ends;
   const void* at_q = nullptr;
   uint64_t at_version = 0;
   float last_dt = 0.0f;

@@ -301,6 +301,15 @@ void TouchMotion::end(const Model& model, TouchedStep& step) {
   if (step.moved_out)
     record_touches(step.work, false, t.arrays(to, {}, {}), t.arrays(*step.out, {}, {}));
   std::tie(t.at_q, t.at_version) = t.place(*step.out);
+  t.remember(*step.in, *step.out, t.at_version);
+}
+
+bool TouchMotion::alternates(const SimState& in) const {
+  const auto [memory, version] = impl_->place(in);
+  const auto found = impl_->ends.find(memory);
+  if (memory == impl_->at_q || found == impl_->ends.end()) return false;
+  const Impl::End& end = found->second;
+  return !end.memory.expired() && (end.version == version || end.version == Impl::kUnknown);
 }
 
 void TouchMotion::hold(const SimState& in, const SimState& out, const char* where,
@@ -310,7 +319,8 @@ void TouchMotion::hold(const SimState& in, const SimState& out, const char* wher
   of_chain.held = of_tape.held = where;
   // The next step continues the chain, but no touch.
   t.at_q = t.place(out).first;
-  t.at_version = ~uint64_t{0};
+  t.at_version = Impl::kUnknown;
+  t.remember(in, out, Impl::kUnknown);
 }
 
 }  // namespace novaphy::diff

@@ -94,7 +94,9 @@ class NOVAPHY_DYNAMICS_API TouchMotion {
                     const Control* control, const Contacts* contacts, float kf_rate, float dt,
                     TouchList& of_chain, TouchList& of_tape);
   void end(const Model& model, TouchedStep& step);
-  // Call hold instead for a step `where` times stay constant.
+  // Call hold instead for a step `where` times stay constant. Such a step is one that alternates: it
+  // starts where another step ended than the last one, so the contacts before it are not known.
+  bool alternates(const SimState& in) const;
   void hold(const SimState& in, const SimState& out, const char* where, TouchList& of_chain,
             TouchList& of_tape);
 

@@ -182,9 +182,14 @@ bool DiffFeatherstoneSolver::begin_rollout(const RolloutInputs& inputs) {
 
 void DiffFeatherstoneSolver::record_step(const SimState& in, SimState& out,
                                          const StepInputs& inputs, StepScratch scratch) {
-  step_.record(*model(), in, out, inputs.control, inputs.contacts,
-               inputs.tables != nullptr ? FoundContacts::Always : FoundContacts::Before,
-               inputs.body_forces, inputs.dt, scratch, inputs.checkpoints == nullptr);
+  // The search reads body_q. The user writes joint_q of the first state, and may leave body_q as it
+  // was. A step gives all later states their body_q.
+  const bool is_written = inputs.is_first && nova::current_capture() == nullptr;
+  const auto found = inputs.tables == nullptr          ? FoundContacts::Before
+                     : !is_written || poses_follow(in) ? FoundContacts::Always
+                                                       : FoundContacts::BeforeAgain;
+  step_.record(*model(), in, out, inputs.control, inputs.contacts, found, inputs.body_forces,
+               inputs.dt, scratch, inputs.checkpoints == nullptr);
   // On a device a failing step writes NaN, and the rollout reports it at its end. On the host the
   // failing step raises and leaves its state unchanged.
   if (nova::host_can_read(device())) step_.check(*model(), kRollout);

@@ -186,8 +186,7 @@ void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
   const auto slot = [recording, interval, start = inputs.start()](int32_t t) {
     return static_cast<size_t>(!recording ? 0 : 1 + (interval == 1 ? t - start : t % interval));
   };
-  std::shared_ptr<StepInputs::Checkpoints> checkpoints;
-  if (interval > 1) checkpoints = std::make_shared<StepInputs::Checkpoints>();
+  const auto checkpoints = interval > 1 ? std::make_shared<StepInputs::Checkpoints>() : nullptr;
   const auto step = [this, inputs, own, on_particles, on_bodies, found, checkpoints](
                         int32_t t, const SimState& from, SimState& to, StepScratch scratch,
                         size_t contact_slot) {
@@ -199,6 +198,7 @@ void DiffSolverBase::rollout(Trajectory& trajectory, const Control* control,
                    .dt = inputs.dt(),
                    .step = t,
                    .checkpoints = checkpoints};
+    now.is_first = t == inputs.start();
     if (inputs.targets().any()) {
       now.targets = nova::operand_of(inputs.targets().rows);
       now.first_target = inputs.targets().first(t);

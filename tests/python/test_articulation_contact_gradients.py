@@ -601,3 +601,54 @@ def test_redundant_contacts_are_no_surrogate(spin: float) -> None:
     solver.step(state, model.state(), None, contacts, DT)
     info = solver.gradient_info()
     assert info["label"] == "exact of the code" and info["sliding"] == 4
+
+
+def capsule():
+    """A capsule without a joint, just above the ground, with its center of mass aside."""
+    builder = novaphy.ModelBuilder()
+    surface = novaphy.ShapeConfig(mu=0.5, density=0.0)
+    builder.add_ground_plane(cfg=surface)
+    body = builder.add_body(
+        xform=((0.0, 0.0, 0.1), UPRIGHT), mass=1.0, com=(0.03, 0.0, 0.0),
+        inertia=np.diag([0.01, 0.012, 0.014]),
+    )  # fmt: skip
+    along_x = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))
+    builder.add_shape_capsule(
+        body, xform=((0.0, 0.0, 0.0), along_x), radius=0.1, half_height=0.2, cfg=surface
+    )
+    return builder.finalize()
+
+
+@pytest.mark.parametrize("follows", [True, False], ids=["eval_fk", "no eval_fk"])
+def test_a_first_search_from_other_poses_is_frozen_and_so_is_the_gradient(follows):
+    # The user writes joint_q of the first state. The first search reads body_q.
+    from novaphy import diff, nova
+
+    model, angle = capsule(), 0.06
+    start = np.array([0.0, 0.0, 0.105, 0.0, np.sin(angle), 0.0, np.cos(angle)])
+    turn = np.array([0.0, 0.0, 0.0, 0.0, np.cos(angle), 0.0, -np.sin(angle)])
+    weights = nova.tensor(np.float32([0.7, -0.4, 0.5, 0.3, -0.6, 0.8]))
+    solver = novaphy.solvers.DiffFeatherstoneSolver(
+        model, contact_gradient="code", pgs_slop=0.0, pgs_erp=0.5
+    )
+    path, pipeline = diff.Trajectory(model, 3), novaphy.CollisionPipeline(model)
+
+    def result(joint_q: np.ndarray):
+        path[0].joint_q.assign(joint_q.astype(np.float32))
+        path[0].joint_qd.assign(np.float32([0.3, 0.2, -0.5, 0.1, 0.4, 0.2]))
+        path[0].body_q.assign(model.body_q.numpy())
+        if follows:
+            with nova.no_grad():
+                novaphy.eval_fk(model, path[0].joint_q, path[0].joint_qd, path[0])
+        solver.rollout(path, None, None, 5e-3, pipeline=pipeline)
+        return nova.sum(diff.state_joint_qd_tensor(path[3]) * weights)
+
+    path[0].joint_q.requires_grad = True
+    with nova.Tape() as tape:
+        tape.backward(result(start))
+    slope = float(path[0].joint_q.grad.numpy() @ turn)
+    label = solver.gradient_info().label
+    path[0].joint_q.requires_grad = False
+    rise = result(start + 1e-3 * turn).item() - result(start - 1e-3 * turn).item()
+    assert slope == pytest.approx(rise / 2e-3, rel=5e-3)
+    assert label == ("exact of the code" if follows else "frozen")

@@ -94,8 +94,8 @@ void set_arrays(Step& s, const SimState& in, const SimState& out, const StepDriv
 
 void set_contacts(Step& s, const Contacts& contacts, FoundContacts found) {
   s.contact_max = contacts.rigid_contact_max();
-  if (found == FoundContacts::Always || nova::current_capture() != nullptr)
-    s.found.emplace(contacts);
+  const bool again = found == FoundContacts::Always || found == FoundContacts::BeforeAgain;
+  if (again || nova::current_capture() != nullptr) s.found.emplace(contacts);
   s.force = contacts.rigid_contact_force;
   s.point_id = contacts.rigid_contact_point_id;
   const Model& m = *s.model;
@@ -303,7 +303,7 @@ void ArticulationStep::record(const Model& m, const SimState& in, SimState& out,
   auto step = std::make_shared<Step>();
   step->shared = shared_;
   step->model = m.shared_from_this();
-  step->follow = found != FoundContacts::Before;
+  step->follow = found == FoundContacts::Now || found == FoundContacts::Always;
   step->continues = shared_->ended == in.joint_q.range()->data();
   const nova::Tape* const tape = nova::Tape::active();
   step->by_restitution =

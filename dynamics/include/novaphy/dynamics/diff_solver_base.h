@@ -28,7 +28,8 @@ struct StepInputs {
   nova::Operand targets;
   size_t first_target = 0;
   float dt = 0.0f;
-  int32_t step = -1;  // index in a rollout: the step goes from state `step` to the next
+  int32_t step = -1;      // index in a rollout: the step goes from state `step` to the next
+  bool is_first = false;  // first step of a rollout, from a state that the user may have written
 
   // For a rollout over a trajectory with checkpoints (some states are kept, others recomputed).
   struct Checkpoints {

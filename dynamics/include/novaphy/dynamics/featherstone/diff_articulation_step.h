@@ -57,9 +57,10 @@ namespace novaphy::diff {
 
 // Whether the contacts of a step were found from the state of the step.
 enum class FoundContacts : uint8_t {
-  Before,  // no, or the state was written since: points and normals are constant
-  Now,     // yes, from the values that the state has now
-  Always   // yes, and they are found again whenever the step runs
+  Before,       // no, or the state was written since: points and normals are constant
+  BeforeAgain,  // the same, and they are found again whenever the step runs
+  Now,          // yes, from the values that the state has now
+  Always        // yes, and they are found again whenever the step runs
 };
 
 class NOVAPHY_DYNAMICS_API ArticulationStep {

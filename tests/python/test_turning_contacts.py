@@ -207,6 +207,17 @@ PAIRS["crossing edges of a rough hull"] = (
     "long box",
     (0.02116, -0.06086, 0.24096, -0.03827, 0.01868, -0.0054, 0.99908),
 )
+# The normal leans by 2 degrees from a face, whose outline cuts the edge above it. A second point of
+# that edge is 7 mm above the face.
+ALMOST_FLAT = "edge on an edge, almost flat"
+NEAR_FACES = {
+    ALMOST_FLAT: (
+        "hull of a box",
+        (0, 0, 0, *turned(0.1, 1, 0, 0.01)),
+        "box",
+        (0.01, 0.054, 0.2175, *turned(1, 0.08, 0, 0.6)),
+    )
+}
 MOTIONS = {
     "sticking": (0.5, (0.02, 0.01, -0.6, 0.1, 0.2, 0.1), 0.0),
     "sliding": (0.3, (1.1, 0.4, -0.5, 0.3, -0.2, 0.6), 0.0),
@@ -218,7 +229,7 @@ def two_bodies(name: str, motion: str) -> novaphy.Model:
     mu, twist, restitution = MOTIONS[motion]
     builder = novaphy.ModelBuilder()
     of = novaphy.ShapeConfig(mu=mu, restitution=restitution, density=0, gap=0.03)
-    below, place, above, at = PAIRS[name]
+    below, place, above, at = {**PAIRS, **NEAR_FACES}[name]
     bodies = [(above, at, twist)]
     if below == "ground":
         builder.add_ground_plane(cfg=of)
@@ -327,6 +338,23 @@ def test_a_step_has_the_gradient_of_contacts_found_anew(name: str, motion: str) 
         d = 2e-3 * np.eye(qd.size)[k]
         difference = (step.value(q, qd + d) - step.value(q, qd - d)) / 4e-3
         assert abs(of_qd[k] - difference) < 4e-3 * max(1.0, abs(difference)), k
+
+
+@pytest.mark.parametrize("motion", ["sticking", "sliding"])
+def test_an_edge_is_cut_by_the_outline_of_an_almost_parallel_face(motion: str) -> None:
+    test_a_step_has_the_gradient_of_contacts_found_anew(ALMOST_FLAT, motion)
+
+
+def test_the_second_point_of_an_edge_over_a_face_is_frozen() -> None:
+    """The normal is across the edges at the first point. It is that of no feature at the second."""
+    from novaphy import nova
+
+    step = Step(two_bodies(ALMOST_FLAT, "bouncing"))
+    before = step.start(step.model.joint_q.numpy(), step.model.joint_qd.numpy())
+    with nova.Tape():
+        step.run(before)
+    info = step.solver.gradient_info()
+    assert info["sliding"] == 2 and info["frozen_contacts"] == 1 and info.label == "frozen"
 
 
 RADIUS, MASSES, RESTITUTION = 0.1, (1.0, 2.0), 0.8

@@ -60,7 +60,8 @@ inline ContactShape<Bool, Real> load_shape(TraceContext& c, const Int& shape) {
       constant(Columns(c, "shape_scale", &shape).vec3()));
   const Bool no(false);
   const Real zero(0.0f);
-  to.polytope = {no, no, no, no, {zero, zero, zero}};
+  const Vec3<Real> none = {zero, zero, zero};
+  to.polytope = {no, no, no, no, no, none, none, zero};
   return to;
 }
 

@@ -118,7 +118,8 @@ NOVAPHY_SELDOM MovingContact<bool, T> turn_contact(const TurningShapes& shapes,
     const Transform<T> pose = {lift(at.p), {T(at.q.x), T(at.q.y), T(at.q.z), T(at.q.w)}};
     auto own = contact_shape<GeoType, bool, T>(is, pose, lift(shapes.scale[shape]));
     const geometry::PolytopeFeature& f = of.feature[side];
-    own.polytope = {f.is_face, f.is_edge, f.is_corner, f.leads, lift(f.line)};
+    own.polytope = {f.is_face, f.is_edge, f.is_corner, f.leads,
+                    f.is_along, lift(f.line), lift(f.clips), T(f.aside)};
     return contact_feature_of(own, of.pose[side], lift(of.point[side]), world[1 - side], normal,
                               side == 0);
   };

@@ -26,8 +26,9 @@ namespace novaphy {
 // shape. No flag set: unknown, or another shape.
 template <class B, class T>
 struct PolytopeSide {
-  B is_face{}, is_edge{}, is_corner{}, leads{};
-  Vec3<T> line{};
+  B is_face{}, is_edge{}, is_corner{}, leads{}, is_along{};
+  Vec3<T> line{}, clips{};
+  T aside{};
 };
 
 // The type, pose and scale of a shape. B is bool or nova::Bool. No flag set: another type.

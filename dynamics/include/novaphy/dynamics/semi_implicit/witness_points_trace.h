@@ -23,6 +23,13 @@
 // inside of a face on the other side leads in its place. Only hulls and meshes, and what touches
 // them, have such normals.
 //
+// The search clips an edge of the other side by a face almost along the normal, with planes through
+// the edges of this face. Where such an edge meets the face's edge, the point of the other side
+// stays on both its line and that plane:
+//     g . (db + s v - (dp + d dm)) = 0,   db + s v   instead of   db
+// g is the normal of the plane, and v the direction of the other line. The point on the face is
+// then beside the edge, else on it: by the gap times the sine between face and normal.
+//
 // The points and the normal are those of the search. Their relative error is that of the derivative
 // too. Points that are not the nearest ones are not exact.
 //
@@ -35,12 +42,23 @@ namespace novaphy {
 
 // The search's error of a normal (rad), and of a point (relative to the size of its shape).
 inline constexpr float kWitnessNoise = 4e-3f;
+// The same error of a normal between shapes without curvature (rad).
+inline constexpr float kFlatNoise = 3e-4f;
+// Equal to kFaceCosine and kFacePreference of clip_manifold.h.
+inline constexpr float kClipCosine = 0.99863f, kClipPreference = 1e-4f;
 
 // One side of a contact. Only `point` and `normal` have derivatives.
 template <class B, class T>
 struct WitnessSide {
   B is_known{}, is_curved{}, is_polytope{};
   B leads{};                  // an edge or a corner with the normal of one of its faces
+  B is_sure{};                // an edge across the normal, or a face along it, within kFlatNoise
+  // An edge of a face that clips the other side: the normal of the plane through that edge, and the
+  // cosine between the face and the contact normal.
+  B clips{};
+  Vec3<T> cut{};
+  T cosine{}, aside{};  // aside: as in PolytopeFeature
+  T rounding{};         // error of the point (m)
   Vec3<T> point{}, normal{};  // fixed in the body
   B is_line{}, is_face{};     // C is infinite along `line`, or everywhere
   Vec3<T> line{};
@@ -80,6 +98,18 @@ struct Tangents {
   Vec3<T> world(const Vec2<T>& v) const { return x * v.x + y * v.y; }
 };
 
+// Returns a basis whose first axis lies along a vector. n: the normal.
+template <class T>
+Tangents<T> tangents_along(const Vec3<T>& along, const Vec3<T>& n) {
+  using namespace math;
+  Tangents<T> t;
+  t.x = along - n * dot(n, along);
+  const T square = dot(t.x, t.x);
+  t.x = t.x / sqrt(select(square > T(1e-6f), square, T(1.0f)));
+  t.y = cross(n, t.x);
+  return t;
+}
+
 template <class B, class T>
 Plane2<T> finite(const WitnessSide<B, T>& s, const Tangents<T>& t) {
   using namespace math;
@@ -101,6 +131,48 @@ Plane2<T> whole(const WitnessSide<B, T>& s, const Tangents<T>& t, const Plane2<T
           face = select(s.is_face, large, zero);
   const Vec2<T> l = t.of(s.line);
   return {c.xx + line * l.x * l.x + face, c.xy + line * l.x * l.y, c.yy + line * l.y * l.y + face};
+}
+
+// Returns `point`, moved along `line` onto the plane of a side that clips it. The plane moves with
+// `on_side`.
+template <class B, class T>
+Vec3<T> onto_cut(const Vec3<T>& point, const Vec3<T>& line, const WitnessSide<B, T>& side,
+                 const Vec3<T>& on_side) {
+  using namespace math;
+  const T into = dot(side.cut, line);
+  const auto cuts = abs(into) > T(1e-3f);
+  return point - line * (dot(side.cut, point - on_side) / select(cuts, into, T(1.0f)));
+}
+
+// Returns the motion of the point of A along its line, from the remaining equation of two lines.
+// `of_b`: the line of B in the tangent plane, where the line of A is the first axis.
+template <class B, class T>
+T slide_of(const B& crossing, const Vec2<T>& left, const Vec2<T>& of_b) {
+  using namespace math;
+  const auto crosses = both(crossing, abs(of_b.y) > T(1e-2f));
+  const T slide = left.x - left.y * of_b.x / select(crosses, of_b.y, T(1.0f));
+  return select(crossing, slide, T(0.0f));
+}
+
+// Which of two crossing edges is that of a face that clips the other edge. Unclear: the point on the
+// face does not show whether it is on the edge.
+template <class B>
+struct Clipped {
+  B by_a{}, by_b{}, is_unclear{};
+};
+template <class B, class T>
+Clipped<B> clipped_by(const WitnessSide<B, T>& a, const WitnessSide<B, T>& b, const B& crossing,
+                      const T& gap) {
+  using namespace math;
+  const auto by_a = both(both(crossing, a.clips),
+                         negate(both(b.clips, b.cosine > a.cosine + T(kClipPreference)))),
+             by_b = both(both(crossing, b.clips), negate(by_a));
+  const auto aside = [&](const WitnessSide<B, T>& s) {
+    return gap * sqrt(max(T(1.0f) - s.cosine * s.cosine, T(1e-12f)));
+  };
+  const T by = select(by_a, aside(a), aside(b)), half = by * T(0.5f);
+  return {both(by_a, a.aside > half), both(by_b, b.aside > half),
+          both(either(by_a, by_b), by < a.rounding + b.rounding)};
 }
 
 }  // namespace witness_detail
@@ -147,17 +219,26 @@ void set_polytope(WitnessSide<B, T>& s, const Shape<B, T>& shape, const Vec3<T>&
   using namespace math;
   const auto& of = shape.polytope;
   const Vec3<T> line = witness_detail::still(rotate(s.turn, of.line));
-  const auto across = [&](const Vec3<T>& v) { return abs(dot(v, normal)) < T(kWitnessNoise); };
-  const auto edge = both(of.is_edge, across(line));
+  const auto across = [&](const Vec3<T>& v, float noise) { return abs(dot(v, normal)) < T(noise); };
+  const auto edge = both(of.is_edge, across(line, kWitnessNoise));
   const auto box_leads =
       both(both(shape.is_box, feature.is_along),
-           either(feature.is_point, both(feature.is_line, across(feature.line))));
+           either(feature.is_point, both(feature.is_line, across(feature.line, kWitnessNoise))));
+  const auto clips = both(edge, dot(of.clips, of.clips) > T(0.5f)),
+             box_clips = both(both(s.is_line, shape.is_box), feature.cosine > T(kClipCosine));
+  const Vec3<T> face = witness_detail::still(select(clips, rotate(s.turn, of.clips), feature.face));
+  s.clips = either(clips, box_clips);
+  s.aside = detach(select(clips, of.aside, s.aside));
   s.is_polytope = shape.is_polytope;
   s.leads = either(of.leads, box_leads);
   s.is_known = either(s.is_known, either(of.is_face, either(of.is_corner, edge)));
   s.is_face = either(s.is_face, of.is_face);
   s.is_line = either(s.is_line, either(edge, both(box_leads, feature.is_line)));
   s.line = select(edge, line, s.line);
+  s.cut = cross(s.line, face);
+  s.cosine = detach(abs(dot(face, normal)));
+  s.is_sure = either(negate(either(of.is_face, s.is_line)),
+                     either(both(of.is_face, of.is_along), across(s.line, kFlatNoise)));
 }
 
 // Returns a side of a contact with a hull or a mesh. The side is its leading face unless the other
@@ -218,6 +299,13 @@ WitnessSide<B, T> witness_side(const Shape<B, T>& shape, const Transform<T>& bod
   const auto nearest =
       both(shape.is_ellipsoid, dot(off, off) < s.size * s.size * T(kWitnessNoise * kWitnessNoise));
   s.is_known = select(revolves, s.is_known, select(shape.is_ellipsoid, nearest, plain));
+  // The distance of a point of a box from the side that neither holds the edge's line nor is the
+  // face closest to the normal.
+  const Vec3<T> l = rotate_inverse(s.turn, feature.line), f = rotate_inverse(s.turn, feature.face);
+  s.aside = abs(((abs(x.x) - h.x) * (one - l.x * l.x - f.x * f.x) +
+                 (abs(x.y) - h.y) * (one - l.y * l.y - f.y * f.y)) +
+                (abs(x.z) - h.z) * (one - l.z * l.z - f.z * f.z));
+  s.rounding = T(1e-6f) * sqrt(dot(x, x) + T(1e-30f));
   set_polytope(s, shape, normal, feature);
   return s;
 }
@@ -241,11 +329,7 @@ WitnessPoints<B, T> witness_points(const WitnessSide<B, T>& side_a, const Witnes
   const Vec3<T> any =
       select(abs(n.x) < T(0.6f), Vec3<T>{one, zero, zero}, Vec3<T>{zero, one, zero});
   const Vec3<T> along = select(a.is_line, a.line, select(b.is_line, b.line, cross(n, any)));
-  Tangents<T> t;
-  t.x = along - n * dot(n, along);
-  const T square = dot(t.x, t.x);
-  t.x = t.x / sqrt(select(square > T(1e-6f), square, one));
-  t.y = cross(n, t.x);
+  const Tangents<T> t = tangents_along(along, n);
   const T size = a.size + b.size, large = (size + abs(d)) * T(1e6f);
   const Plane2<T> own_a = finite(a, t), own_b = finite(b, t), all_a = whole(a, t, own_a, large),
                   all_b = whole(b, t, own_b, large);
@@ -259,29 +343,33 @@ WitnessPoints<B, T> witness_points(const WitnessSide<B, T>& side_a, const Witnes
   const Vec2<T> turn = {(yy * r.x - xy * r.y) * by, (xx * r.y - xy * r.x) * by};
   const Vec2<T> move_a = times(own_a, difference(turn, m)),
                 move_b = times(own_b, difference(k, turn));
-  // With lines on both sides, the remaining equation gives the motion along the line of A.
   const Vec2<T> left = {(p.x + move_b.x) - (move_a.x + d * turn.x),
                         (p.y + move_b.y) - (move_a.y + d * turn.y)};
   const Vec2<T> of_b = t.of(b.line);
   const auto crossing = both(a.is_line, b.is_line);
-  const T slide = select(
-      crossing,
-      left.x - left.y * of_b.x / select(both(crossing, abs(of_b.y) > T(1e-2f)), of_b.y, one), zero);
+  const T slide = slide_of(crossing, left, of_b);
   const Vec3<T> at_a = a.point + t.world({move_a.x + slide, move_a.y}),
                 at_b = b.point + t.world(move_b);
+  const Clipped<B> clipped = clipped_by(a, b, crossing, abs(d));
+  const Vec3<T> cut_b = onto_cut(at_b, b.line, a, a.point + a.normal * d),
+                cut_a = onto_cut(a.point + t.world(move_a), a.line, b, b.point - b.normal * d);
   WitnessPoints<B, T> w;
   w.normal = t.world(turn);
   const Vec3<T> across = w.normal * d + n * dot(n, apart);
   const auto free_a = either(a.is_line, a.is_face), free_b = either(b.is_line, b.is_face);
-  const auto by_b = both(free_a, negate(free_b));
-  w.a = select(by_b, at_b - across, at_a);
-  w.b = select(by_b, at_b, at_a + across);
+  const auto by_b = either(both(free_a, negate(free_b)), clipped.by_a);
+  const Vec3<T> leads_a = select(clipped.by_b, cut_a, at_a),
+                leads_b = select(clipped.by_a, cut_b, at_b);
+  w.a = select(by_b, leads_b - across, leads_a);
+  w.b = select(by_b, leads_b, leads_a + across);
   const auto parallel = both(crossing, abs(of_b.y) <= T(1e-2f));
   const auto flat = either(both(a.is_face, free_b), both(b.is_face, free_a));
   const T aside = detach(p.x * p.x + p.y * p.y);
+  const auto curved = either(a.is_curved, b.is_curved);
+  const auto sure = both(either(curved, both(a.is_sure, b.is_sure)), negate(clipped.is_unclear));
   w.is_exact =
-      both(both(both(a.is_known, b.is_known),
-                either(either(a.is_curved, b.is_curved), either(a.is_polytope, b.is_polytope))),
+      both(both(both(both(a.is_known, b.is_known), sure),
+                either(curved, either(a.is_polytope, b.is_polytope))),
            both(both(regular, negate(either(parallel, flat))), aside < size * size * T(1e-6f)));
   return w;
 }

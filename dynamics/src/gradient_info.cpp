@@ -106,14 +106,20 @@ int64_t unclaimed_steps(const MotionCounts* motion) {
   return motion != nullptr && !is_of_the_motion(*motion) ? motion->moved : 0;
 }
 
+std::string why_surrogate(const GradientCounts& c) {
+  if ((c.jumps & kLawJumps) != 0) return "a contact law jumps or a step failed";
+  if ((c.jumps & kOpenFriction) != 0)
+    return "points of one pair slide in different directions, and the law leaves the push of each "
+           "point open";
+  return "contacts have not converged (" + std::to_string(c.residual) + " of the largest impulse)";
+}
+
 // Returns sentences on the worst steps, without the last full stop.
 std::string worst_steps(const GradientCounts& c, bool implicit, bool has_unclaimed) {
   if (c.surrogate > 0)
     return some(c.surrogate, c.steps) + " are a surrogate (the first is step " +
            std::to_string(c.surrogate_step) + "), because " +
-           (c.jumps != 0 ? "a contact law jumps or a step failed"
-                         : "contacts have not converged (" + std::to_string(c.residual) +
-                               " of the largest impulse)") +
+           why_surrogate(c) +
            ". Gradients through these steps may have any length and sign";
   if (c.frozen > 0)
     return some(c.frozen, c.steps) +

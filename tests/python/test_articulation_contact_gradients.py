@@ -585,8 +585,9 @@ def test_what_has_no_gradient_through_contacts_raises() -> None:
         solver.step(state, after, None, contacts, DT)
 
 
-@pytest.mark.parametrize("spin", [0.0, 2.0])
+@pytest.mark.parametrize("spin", [0.0, 0.5])
 def test_redundant_contacts_are_no_surrogate(spin: float) -> None:
+    """With more spin they are: test_open_friction.py."""
     builder = box(1.0)
     builder.joint_qd[0:6] = [1.0, 0.3, -0.2, 0.0, 0.0, spin]
     model = builder.finalize()

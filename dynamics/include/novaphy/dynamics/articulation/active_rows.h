@@ -203,7 +203,7 @@ inline void note_contact(const ContactRows& of, const ContactLaw<float>& law, bo
   const bool softened = (branch.active && c.cfm > row.target.cfm) || (shifts && c.lack > 0.0f);
   const bool shifting =
       shifts && math::abs(moving_slip(c) + c.shift + c.softness * c.shifted) >= kConverged;
-  if ((by_restitution && jumps) || softened || shifting) to.all.jumps = 1;
+  if ((by_restitution && jumps) || softened || shifting) to.all.jumps |= kLawJumps;
   ++to.rows;
   const float normal = branch.active ? c.impulse[0] * c.normal : math::abs(slip(c, 0) + c.bias);
   lower(to.normal_margin, normal);

@@ -11,6 +11,9 @@ namespace novaphy {
 // off.
 inline constexpr float kSurrogateResidual = 1e-4f;
 
+// Why a step has no derivative: a law jumps, or the step failed; open_friction.h.
+inline constexpr int32_t kLawJumps = 1, kOpenFriction = 2;
+
 inline constexpr int32_t kContactBegan = 0, kContactEnded = 1, kContactTurned = 2;
 
 // A pair of shapes, or a shape and a particle (as kParticle plus its index), with the event of its
@@ -34,7 +37,7 @@ struct StepNotes {
                                              // slipping
   ContactPair event;                         // first pair with an event
   ContactPair held;                          // first pushing pair with a frozen point or normal
-  int32_t jumps = 0;                         // whether a law has no derivative, or the step failed
+  int32_t jumps = 0;                         // kLawJumps and kOpenFriction
   float residual = 0.0f;                     // relative to the largest impulse
 };
 inline void note_all(const StepNotes& of, StepNotes& to) {
@@ -43,7 +46,7 @@ inline void note_all(const StepNotes& of, StepNotes& to) {
   to.turned += of.turned;
   take_first(of.event, to.event);
   take_first(of.held, to.held);
-  if (of.jumps != 0) to.jumps = 1;
+  to.jumps |= of.jumps;
   if (to.residual < of.residual) to.residual = of.residual;
 }
 
@@ -53,7 +56,7 @@ struct GradientCounts {
   int64_t event_step = -1, frozen_step = -1, surrogate_step = -1;  // first step of each kind
   ContactPair event, held;                                         // of event_step and frozen_step
   float residual = 0.0f;                                           // largest residual
-  int32_t jumps = 0;                                               // of any surrogate step
+  int32_t jumps = 0;                                               // of all surrogate steps
 };
 inline void note_step(const StepNotes& of, GradientCounts& to) {
   const bool surrogate = of.jumps != 0 || !(of.residual <= kSurrogateResidual);
@@ -63,7 +66,7 @@ inline void note_step(const StepNotes& of, GradientCounts& to) {
   }
   if (surrogate) {
     if (to.surrogate_step < 0) to.surrogate_step = to.steps;
-    if (of.jumps != 0) to.jumps = 1;
+    to.jumps |= of.jumps;
     ++to.surrogate;
   } else if (of.held.there()) {
     if (to.frozen_step < 0) {
@@ -91,7 +94,7 @@ inline void note_steps(const GradientCounts& of, GradientCounts& to) {
   if (first(of.event_step, to.event_step)) to.event = of.event;
   if (first(of.frozen_step, to.frozen_step)) to.held = of.held;
   first(of.surrogate_step, to.surrogate_step);
-  if (of.jumps != 0) to.jumps = 1;
+  to.jumps |= of.jumps;
   to.exact += of.exact;
   to.frozen += of.frozen;
   to.surrogate += of.surrogate;

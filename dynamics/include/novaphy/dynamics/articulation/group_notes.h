@@ -3,17 +3,23 @@
 
 #include "novaphy/dynamics/articulation/active_rows.h"
 #include "novaphy/dynamics/articulation/group_step.h"
+#include "novaphy/dynamics/articulation/open_friction.h"
 
 namespace novaphy {
 
 inline void note_island(const GroupStep& s, int32_t root, articulation::BranchNotes& notes) {
   const IslandNode& node = s.a.nodes[root];
-  if (node.failed != 0) notes.all.jumps = 1;
+  if (node.failed != 0) notes.all.jumps |= kLawJumps;
   if (node.failed != 0 || node.coupled == 0) return;
   const articulation::IslandContact* const rows = rows_of(s, root);
   for (int32_t n = 0; n < node.rows; ++n) {
     articulation::note_contact(s.contacts, s.law, s.all.by_restitution.value != 0, rows[n], notes);
     s.all.seen[s.places(root)[n]] = articulation::seen_contact(s.contacts, rows[n], s.law.cone);
+  }
+  for (int32_t first = 0, end = 0; first < node.rows; first = end) {
+    while (end < node.rows && articulation::same_links(rows[first], rows[end])) ++end;
+    if (articulation::has_open_friction(rows + first, end - first, s.law.cone))
+      notes.all.jumps |= kOpenFriction;
   }
   for_friction(s, root, [&](const articulation::PgsJointFriction<float>& f, int32_t) {
     articulation::note_friction(f, notes);

@@ -22,8 +22,7 @@ depend on the initial guess.
 A model with bodies, joints and contacts, without particles, needs gradient="implicit". Gradients are
 computed for poses, velocities, body_f, gravity, masses, inertias, joint_f, targets, stiffness and
 damping of drives and rods, damping, armature and friction of joints, and materials of shapes.
-Captures, checkpoints and
-jvp raise NotImplementedError.
+Captures and checkpoints raise NotImplementedError.
 
 A capture on a device cannot record jvp or gradient="implicit".)";
 

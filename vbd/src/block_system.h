@@ -25,6 +25,12 @@ inline void add_product(const Block6& a, const Row6& x, double scale, Row6& y) {
     for (size_t k = 0; k < 6; ++k) y[i] += scale * (a[i][k] * x[k]);
 }
 
+// As add_product, for the transpose of a.
+inline void add_transposed(const Block6& a, const Row6& x, double scale, Row6& y) {
+  for (size_t i = 0; i < 6; ++i)
+    for (size_t k = 0; k < 6; ++k) y[i] += scale * (a[k][i] * x[k]);
+}
+
 // Returns the inverse of a block, by Gauss-Jordan elimination.
 inline Block6 inverse(Block6 a) {
   Block6 b{};
@@ -99,6 +105,19 @@ class BlockSystem {
       add_product(inverse_[k], b[k], 1.0, x);
       b[k] = x;
     }
+  }
+  // As solve(), for the transposed system.
+  void solve_transposed(std::vector<Row6>& b) const {
+    for (size_t n = 0; n < order_.size(); ++n) {
+      const size_t k = order_[n];
+      Row6 x{};
+      add_transposed(inverse_[k], b[k], 1.0, x);
+      b[k] = x;
+      for (const size_t j : after_[n]) add_transposed(rows_[k].at(j), b[k], -1.0, b[j]);
+    }
+    for (size_t n = order_.size(); n-- > 0;)
+      for (const size_t i : after_[n])
+        add_transposed(rows_[i].at(order_[n]), b[i], -1.0, b[order_[n]]);
   }
 
  private:

@@ -254,11 +254,22 @@ double BodiesAdjoint::relative_change(const std::vector<Row6>& before,
   return size > 0.0 ? std::sqrt(change / size) : 0.0;
 }
 
+// Counts a sweep. Returns whether the sweeps can end.
+bool BodiesAdjoint::is_solved(const std::vector<Row6>& before, const std::vector<Row6>& after,
+                              KrylovResult& result) const {
+  constexpr double kSolved = 1e-8, kStalled = 1e-5;
+  const double last = result.residual;
+  ++result.iterations;
+  result.residual = relative_change(before, after);
+  if (result.residual <= kSolved) return true;
+  // Rounding lets the residual fall no further.
+  return result.residual <= kStalled && result.residual > 0.5 * last;
+}
+
 // Solves for the adjoints of the forces and of the rows, by the method of multipliers. The residual
 // is the relative change of mu in the last sweep, weighted by masses and mean inertias.
 // The adjoints nu of rows that depend on each other are not unique.
 KrylovResult BodiesAdjoint::solve(int32_t sweeps) {
-  constexpr double kSolved = 1e-8, kStalled = 1e-5;
   KrylovResult result;
   std::vector<Row6> rows, before(index(rows_));
   while (result.iterations < sweeps) {
@@ -282,13 +293,8 @@ KrylovResult BodiesAdjoint::solve(int32_t sweeps) {
         j.nu[k] = j.stiffness(k) * sum;
       }
     });
-    ++result.iterations;
-    const double last = result.residual;
-    result.residual = relative_change(before, rows);
+    if (is_solved(before, rows, result)) break;
     before = rows;
-    if (result.residual <= kSolved) break;
-    // Rounding lets the residual fall no further.
-    if (result.residual <= kStalled && result.residual > 0.5 * last) break;
   }
   for (size_t b = 0; b < mu_.size(); ++b)
     if (row_[b] >= 0) mu_[b] = rows[index(row_[b])];

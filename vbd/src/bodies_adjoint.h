@@ -1,4 +1,5 @@
-// BodiesAdjoint: the adjoint of the solution of a step of bodies (DifferentiableBodies).
+// BodiesAdjoint: the adjoint of the solution of a step of bodies (DifferentiableBodies), and its
+// tangent.
 #pragma once
 
 #include <optional>
@@ -26,6 +27,9 @@ class BodiesAdjoint {
   // result tells how exact the rows are solved.
   KrylovResult run(const VbdBodyDerivatives& adjoints, const VbdBodyDerivatives& gradients,
                    int32_t sweeps);
+  // Computes the tangents {n, 7} and {n, 6} of the results along a direction of the inputs.
+  KrylovResult tangent(const VbdBodyDerivatives& along, float* q_out, float* qd_out,
+                       int32_t sweeps);
 
  private:
   // A joint or a contact, with the derivatives of its forces and rows. Columns and force rows are
@@ -38,7 +42,8 @@ class BodiesAdjoint {
     double by_lam[kMostRows][12] = {};      // force by multiplier
     double by_motion[kMostRows][12] = {};   // row by motion
     double compliance[kMostRows] = {}, penalty[kMostRows] = {};
-    double nu[kMostRows] = {};  // adjoint of each row
+    double nu[kMostRows] = {};     // adjoint of each row; in tangent(): tangent of its multiplier
+    double along[kMostRows] = {};  // tangent(): of each row, with constant motions and multipliers
     double stiffness(int k) const { return 1.0 / (compliance[k] + 1.0 / penalty[k]); }
     // Adds the next row.
     void add(float multiplier, double compliance_of_row, float rho);
@@ -75,6 +80,8 @@ class BodiesAdjoint {
   template <class At>
   void put_coupling(const Pair<At>& j, BlockSystem& system) const;
   double relative_change(const std::vector<Row6>& before, const std::vector<Row6>& after) const;
+  bool is_solved(const std::vector<Row6>& before, const std::vector<Row6>& after,
+                 KrylovResult& result) const;
   KrylovResult solve(int32_t sweeps);
   // Applies a direction to a copy of the joint or body. Returns minus the product of the adjoints
   // and the derivatives.
@@ -90,6 +97,17 @@ class BodiesAdjoint {
   void pull_material(const Touch& t, Gradients& to) const;
   void pull_axis(const Joint& j, Gradients& to) const;
   void pull_kinematic(Gradients& to) const;
+  // bodies_tangent.cpp
+  struct Tangents;
+  Tangents tangents_of(const VbdBodyDerivatives& along) const;
+  template <class At>
+  void put_poses(const Pair<At>& j, const Tangents& t, At& at) const;
+  void put_inputs(const Joint& j, const Tangents& t, DualJoint& at) const;
+  void put_inputs(const Touch& j, const Tangents& t, DualContact& at) const;
+  void put_inputs(size_t b, const Tangents& t, BodyStart<DualFloat>& to) const;
+  KrylovResult solve_tangent(const std::vector<Row6>& load, int32_t sweeps,
+                             std::vector<Row6>& found);
+  void put_results(const Tangents& t, float* q_out, float* qd_out) const;
 
   const SolvedBodies step_;
   std::vector<int32_t> row_;   // of each body: its row in the system, or -1: kinematic

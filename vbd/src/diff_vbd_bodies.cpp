@@ -41,16 +41,40 @@ std::vector<RecordedBodies::Input> RecordedBodies::differentiable() const {
   return all;
 }
 
+namespace {
+
+Array array_of(const Tensor& tensor) {
+  return tensor.defined() ? Array(novaphy::DType::float32, static_cast<size_t>(tensor.size()), 1,
+                                  tensor.range())
+                          : Array();
+}
+
+}  // namespace
+
+void RecordedBodies::tangent(std::span<const Tensor> tangents,
+                             std::span<const Tensor> outputs) const {
+  const nova::NoGrad no_grad;
+  const std::vector<Input> all = differentiable();
+  VbdBodyDerivatives direction;
+  for (size_t k = 0; k < all.size(); ++k)
+    direction.*all[k].derivative = array_of(tangents[k]);
+  Array found[2];
+  for (size_t k = 0; k < 2; ++k) {
+    const UntrackedScope untracked;
+    found[k] = Array(novaphy::DType::float32, static_cast<size_t>(outputs[k].size()),
+                     model->device());
+  }
+  steps->tangent(*solution, *in, control.get(), dt, direction, found[0], found[1]);
+  for (size_t k = 0; k < 2; ++k)
+    nova::InputGradient{outputs[k], false}.put(
+        Tensor(found[k].range(), outputs[k].shape(), nova::DType::F32));
+}
+
 void RecordedBodies::backward(std::span<const Tensor> outputs,
                               std::span<const nova::InputGradient> to) const {
   const nova::NoGrad no_grad;
   const std::vector<Input> all = differentiable();
   VbdBodyDerivatives adjoints, gradients;
-  const auto array_of = [](const Tensor& tensor) {
-    return tensor.defined() ? Array(novaphy::DType::float32, static_cast<size_t>(tensor.size()), 1,
-                                    tensor.range())
-                            : Array();
-  };
   adjoints.body_q = array_of(outputs[0]);
   adjoints.body_qd = array_of(outputs[1]);
   for (size_t k = 0; k < all.size(); ++k) {
@@ -147,6 +171,10 @@ void DiffSolverVBD::record_bodies(const SimState& in, const SimState& out,
   op.reads.push_back(Tensor::view(m.body_inv_mass));
   op.vjp = [step](std::span<const Tensor> outputs, std::span<const nova::InputGradient> to) {
     const auto run = [&] { step->backward(outputs, to); };
+    step->of_rollout < 0 ? run() : named_step(step->of_rollout, run);
+  };
+  op.jvp = [step](std::span<const Tensor> tangents, std::span<const Tensor> outputs) {
+    const auto run = [&] { step->tangent(tangents, outputs); };
     step->of_rollout < 0 ? run() : named_step(step->of_rollout, run);
   };
   tape->record_custom(std::move(op));

@@ -29,6 +29,7 @@ struct RecordedBodies {
   std::vector<Input> differentiable() const;
   void backward(std::span<const nova::Tensor> outputs,
                 std::span<const nova::InputGradient> to) const;
+  void tangent(std::span<const nova::Tensor> tangents, std::span<const nova::Tensor> outputs) const;
 };
 
 }  // namespace novaphy::diff

@@ -56,6 +56,20 @@ struct DifferentiableBodies::Work {
     solution->is_solved = found.is_solved(tolerance);
   }
 
+  // Checks whether the linear system of a derivative is solved, and keeps the report.
+  void tell(const vbd::KrylovResult& linear, const VbdBodySolution& of) {
+    const auto allowed = static_cast<double>(gradient.tolerance);
+    const bool solved = linear.residual <= allowed;
+    require(solved || gradient.allow_unconverged, ErrorKind::Runtime, kName,
+            ": the linear system of the gradient was not solved: expected a relative residual of "
+            "at most ",
+            allowed, ", got ", linear.residual, " after ", linear.iterations,
+            " sweeps; raise gradient_sweeps, or allow_unconverged");
+    info = {"implicit",         of.residual,           linear.residual,
+            linear.iterations, solved && of.is_solved, 0};
+    has_info = true;
+  }
+
   vbd::Bodies bodies;
   const VbdOptions options;
   const VbdGradientOptions gradient;
@@ -106,18 +120,22 @@ void DifferentiableBodies::backward(const VbdBodySolution& solution, const SimSt
   const Unrecorded unrecorded;
   model_->update_derived();
   vbd::BodiesAdjoint adjoint({*model_, solution, in, control, dt});
-  const vbd::KrylovResult linear =
-      adjoint.run(adjoints, gradients, w.gradient.krylov_sweeps);
-  const double allowed = static_cast<double>(w.gradient.tolerance);
-  const bool solved = linear.residual <= allowed;
-  require(solved || w.gradient.allow_unconverged, ErrorKind::Runtime, kName,
-          ": the linear system of the gradient was not solved: expected a relative residual of at "
-          "most ",
-          allowed, ", got ", linear.residual, " after ", linear.iterations,
-          " sweeps; raise gradient_sweeps, or allow_unconverged");
-  w.info = {"implicit",         solution.residual,           linear.residual,
-            linear.iterations, solved && solution.is_solved, 0};
-  w.has_info = true;
+  w.tell(adjoint.run(adjoints, gradients, w.gradient.krylov_sweeps), solution);
+}
+
+void DifferentiableBodies::tangent(const VbdBodySolution& solution, const SimState& in,
+                                   const Control* control, float dt,
+                                   const VbdBodyDerivatives& direction, Array q_out,
+                                   Array qd_out) {
+  Work& w = *work_;
+  const ExclusiveUse::Scope scope(w.in_use, "DifferentiableBodies.tangent", "the solver");
+  const UntrackedScope untracked;
+  const Unrecorded unrecorded;
+  model_->update_derived();
+  vbd::BodiesAdjoint step({*model_, solution, in, control, dt});
+  w.tell(step.tangent(direction, static_cast<float*>(q_out.raw_mutable()),
+                      static_cast<float*>(qd_out.raw_mutable()), w.gradient.krylov_sweeps),
+         solution);
 }
 
 bool DifferentiableBodies::has_frozen_contacts(const VbdBodySolution& solution) const {

@@ -57,7 +57,7 @@ struct DiffVbdOptions {
 // element is 0.
 //
 // A model with bodies and without particles has implicit gradients (DifferentiableBodies), on the
-// CPU, outside of captures, and without jvp or checkpoints:
+// CPU, outside of captures, and without checkpoints:
 //   body_q, body_qd, body_f, gravity, body_mass and its inverse, body_inertia          exact
 //   joint_f, joint_target_q, joint_target_qd, of the control or the model              exact
 //   joint_target_ke, joint_target_kd, joint_damping, joint_armature, joint_friction    exact

@@ -63,10 +63,13 @@ class NOVAPHY_VBD_API DifferentiableBodies {
   // `solution`, from the adjoints of its results.
   void backward(const VbdBodySolution& solution, const SimState& in, const Control* control,
                 float dt, const VbdBodyDerivatives& adjoints, const VbdBodyDerivatives& gradients);
+  // Computes the tangents of the results, {n, 7} and {n, 6}, along a direction of the inputs.
+  void tangent(const VbdBodySolution& solution, const SimState& in, const Control* control,
+               float dt, const VbdBodyDerivatives& direction, Array q_out, Array qd_out);
   // Returns whether a contact pushes whose points, normal or ignored depth depend on the state. The
   // derivatives keep them constant.
   bool has_frozen_contacts(const VbdBodySolution& solution) const;
-  // Describes the last backward. ErrorKind::Runtime: none ran yet.
+  // Describes the last backward or tangent. ErrorKind::Runtime: none ran yet.
   VbdGradientInfo info() const;
   // Forgets the multipliers and turns of joints of the previous step.
   void reset();

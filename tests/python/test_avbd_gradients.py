@@ -288,6 +288,7 @@ SCENES: dict[str, tuple[Callable[[], novaphy.ModelBuilder], int, int]] = {
     "fixed, ball": (lambda: chain_of("fixed", "ball"), 2, 30),
     "slide, rope": (lambda: chain_of("slide", "rope"), 2, 30),
     "stuck, hinge": (lambda: chain_of("stuck", "hinge"), 2, 30),
+    "ropes": (lambda: chain_of("rope", "rope"), 3, 10),
     "weak, stop": (lambda: chain_of("weak", "stop"), 2, 30),
     "a kinematic root": (lambda: chain_of("driven", "ball", root="kinematic"), 3, 30),
     "a closed loop": (four_bars, 3, 100),
@@ -347,6 +348,13 @@ def test_a_tangent_is_the_transpose_of_the_adjoint(name: str) -> None:
         forwards, size = sum(t.sum() for t in terms), sum(np.abs(t).sum() for t in terms)
         backwards = (array.grad.numpy().astype(float).reshape(along.shape) * along).sum()
         assert abs(forwards - backwards) <= 1e-3 * abs(backwards) + 1e-5 * size
+
+
+def test_a_body_that_cannot_move_has_no_derivative_by_forces() -> None:
+    problem = Problem(chain_of("fixed", root="kinematic"), 1, 20)
+    assert problem.backward().linear_residual < 1e-6
+    assert np.abs(problem.arrays["body_f"].grad.numpy()).max() < 1e-8
+    assert np.abs(problem.arrays["body_q"].grad.numpy()).max() > 0.1
 
 
 def test_a_free_body_has_the_derivatives_of_its_closed_form() -> None:

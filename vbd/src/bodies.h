@@ -189,6 +189,8 @@ class Bodies {
   // of its two bounds, as dry friction can, gets a lower penalty stiffness. So does the friction of a
   // contact that stops to slip or turns back. Both could otherwise jump to and fro without end.
   void iterate_to_solution();
+  // Halves the penalty stiffness of all rows, for a step whose residual no longer falls.
+  void soften_rows();
   // Returns how far the motions are from the solution, without contacts. The values are those of
   // the worst tree. The norms weigh moments by the inverse inertia.
   VbdResidual residual() const;

@@ -237,8 +237,10 @@ void BodiesAdjoint::put_coupling(const Pair<At>& j, BlockSystem& system) const {
     }
 }
 
+// Returns the size of the change over the largest size of all sweeps. The solution is 0 for bodies
+// that cannot move.
 double BodiesAdjoint::relative_change(const std::vector<Row6>& before,
-                                      const std::vector<Row6>& after) const {
+                                      const std::vector<Row6>& after) {
   double change = 0.0, size = 0.0;
   for (size_t b = 0; b < row_.size(); ++b) {
     if (row_[b] < 0) continue;
@@ -251,12 +253,13 @@ double BodiesAdjoint::relative_change(const std::vector<Row6>& before,
       size += (k < 3 ? mass : turning) * c * c;
     }
   }
-  return size > 0.0 ? std::sqrt(change / size) : 0.0;
+  largest_ = std::max(largest_, size);
+  return largest_ > 0.0 ? std::sqrt(change / largest_) : 0.0;
 }
 
 // Counts a sweep. Returns whether the sweeps can end.
 bool BodiesAdjoint::is_solved(const std::vector<Row6>& before, const std::vector<Row6>& after,
-                              KrylovResult& result) const {
+                              KrylovResult& result) {
   constexpr double kSolved = 1e-8, kStalled = 1e-5;
   const double last = result.residual;
   ++result.iterations;
@@ -271,6 +274,7 @@ bool BodiesAdjoint::is_solved(const std::vector<Row6>& before, const std::vector
 // The adjoints nu of rows that depend on each other are not unique.
 KrylovResult BodiesAdjoint::solve(int32_t sweeps) {
   KrylovResult result;
+  largest_ = 0.0;
   std::vector<Row6> rows, before(index(rows_));
   while (result.iterations < sweeps) {
     rows.clear();

@@ -79,9 +79,9 @@ class BodiesAdjoint {
   void put_derivatives(Pair<At>& j, BlockSystem& system) const;
   template <class At>
   void put_coupling(const Pair<At>& j, BlockSystem& system) const;
-  double relative_change(const std::vector<Row6>& before, const std::vector<Row6>& after) const;
+  double relative_change(const std::vector<Row6>& before, const std::vector<Row6>& after);
   bool is_solved(const std::vector<Row6>& before, const std::vector<Row6>& after,
-                 KrylovResult& result) const;
+                 KrylovResult& result);
   KrylovResult solve(int32_t sweeps);
   // Applies a direction to a copy of the joint or body. Returns minus the product of the adjoints
   // and the derivatives.
@@ -112,6 +112,7 @@ class BodiesAdjoint {
   const SolvedBodies step_;
   std::vector<int32_t> row_;   // of each body: its row in the system, or -1: kinematic
   int32_t rows_ = 0;
+  double largest_ = 0.0;  // see relative_change
   std::vector<Joint> joint_;
   std::vector<Touch> touch_;  // the contacts that push
   std::vector<Row6> load_;     // adjoint of the motion of each body

@@ -142,6 +142,19 @@ void Bodies::iterate_to_solution() {
     }
 }
 
+void Bodies::soften_rows() {
+  constexpr float kSofter = 0.5f;
+  for (VbdBodyJoint& j : joint_) {
+    for (auto* const rows : {&j.points, &j.turns})
+      for (VbdJointRow& row : *rows) row.rho *= kSofter;
+    for (VbdAxisRow& row : j.rows) row.rho *= kSofter;
+  }
+  for (VbdBodyContact& c : contact_) {
+    c.rho *= kSofter;
+    c.rho_t *= kSofter;
+  }
+}
+
 VbdBodySolution Bodies::solution() const {
   return {.motion = motion_,
           .joint = joint_,

@@ -147,6 +147,7 @@ BodiesAdjoint::Tangents BodiesAdjoint::tangents_of(const VbdBodyDerivatives& alo
 KrylovResult BodiesAdjoint::solve_tangent(const std::vector<Row6>& load, int32_t sweeps,
                                           std::vector<Row6>& found) {
   KrylovResult result;
+  largest_ = 0.0;
   std::vector<Row6> before(load.size());
   while (result.iterations < sweeps) {
     found = load;

@@ -35,8 +35,9 @@ struct DifferentiableBodies::Work {
     bodies.couple(nullptr, {});
     for (int32_t k = 0; k < options.iterations; ++k) bodies.iterate_to_solution();
     found.residual = bodies.residual();
-    int32_t more = 0;
-    double before = found.residual.relative;
+    constexpr int32_t kPatience = 3;  // iterations without a fall
+    int32_t more = 0, last_fall = 0;
+    double before = found.residual.relative, least = before;
     while (more < gradient.newton_iterations && before > tolerance) {
       bodies.iterate_to_solution();
       ++more;
@@ -44,6 +45,13 @@ struct DifferentiableBodies::Work {
       // Rounding may let the residual fall no further.
       if (found.is_solved(tolerance) && found.residual.relative > 0.5 * before) break;
       before = found.residual.relative;
+      if (before < 0.5 * least) {
+        least = before;
+        last_fall = more;
+      } else if (more - last_fall >= kPatience) {
+        bodies.soften_rows();
+        last_fall = more;
+      }
     }
     bodies.check_result();
     found.residual.iterations = options.iterations;

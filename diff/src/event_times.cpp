@@ -22,48 +22,55 @@ using Run = std::span<const std::shared_ptr<MotionEvent>>;
 float* numbers(const nova::Tensor& of) { return static_cast<float*>(of.range()->data()); }
 
 // Returns the array on which an event's time depends: an array of a state or of the model.
-nova::Tensor array_of(const SimState& state, const MotionEvent::Slope& slope) {
+nova::Tensor array_of(const SimState& state, const MotionEvent::TimeDerivative& derivative) {
   const auto tensor_of = [](const auto& array) {
     const nova::Operand o = nova::operand_of(array);
     return nova::Tensor(o.range, {o.rows, o.width}, nova::DType::F32);
   };
-  switch (slope.of) {
-    case MotionArray::JointQ: return tensor_of(state.joint_q);
-    case MotionArray::BodyQ: return tensor_of(state.body_q);
-    case MotionArray::ParticleQ: return tensor_of(state.particle_q);
-    default: return tensor_of(slope.limit);
+  switch (derivative.of) {
+    case MotionArray::JointQ:
+      return tensor_of(state.joint_q);
+    case MotionArray::BodyQ:
+      return tensor_of(state.body_q);
+    case MotionArray::ParticleQ:
+      return tensor_of(state.particle_q);
+    default:
+      return tensor_of(derivative.limit);
   }
 }
 
-// The events that begin in one step. each() calls visit(event, input, slope) for each derivative
-// (slope) of an event's time with respect to an input.
+// The events that begin in one step. each() calls visit(event, input, derivative) for each
+// derivative of an event's time with respect to an input.
 struct StepEvents {
   MotionEvents events;
   std::vector<const void*> arrays;  // memory of the inputs
-  std::vector<size_t> inputs;       // input of each slope, for the events one after the other
+  std::vector<size_t> inputs;       // input of each derivative, for the events one after the other
 
   template <class F>
   void each(const F& visit) const {
     size_t at = 0;
     for (size_t row = 0; row < events.size(); ++row)
-      for (const MotionEvent::Slope& slope : events[row]->slopes) visit(row, inputs[at++], slope);
+      for (const MotionEvent::TimeDerivative& derivative : events[row]->derivatives)
+        visit(row, inputs[at++], derivative);
   }
   void gradients(const nova::Tensor& of, std::span<const nova::InputGradient> to) const {
     for (const nova::InputGradient& g : to)
       if (g.wanted() && !g.add) std::fill_n(numbers(g.grad), g.grad.size(), 0.0f);
     if (!of.defined()) return;
-    each([&](size_t row, size_t input, const MotionEvent::Slope& slope) {
+    each([&](size_t row, size_t input, const MotionEvent::TimeDerivative& derivative) {
       if (!to[input].wanted()) return;
-      float* const grad = numbers(to[input].grad) + slope.first;
-      for (size_t i = 0; i < slope.by.size(); ++i) grad[i] += numbers(of)[row] * slope.by[i];
+      float* const grad = numbers(to[input].grad) + derivative.first;
+      for (size_t i = 0; i < derivative.by.size(); ++i)
+        grad[i] += numbers(of)[row] * derivative.by[i];
     });
   }
   void tangents(std::span<const nova::Tensor> of, const nova::Tensor& to) const {
     std::fill_n(numbers(to), to.size(), 0.0f);
-    each([&](size_t row, size_t input, const MotionEvent::Slope& slope) {
+    each([&](size_t row, size_t input, const MotionEvent::TimeDerivative& derivative) {
       if (!of[input].defined()) return;
-      const float* const tangent = numbers(of[input]) + slope.first;
-      for (size_t i = 0; i < slope.by.size(); ++i) numbers(to)[row] += tangent[i] * slope.by[i];
+      const float* const tangent = numbers(of[input]) + derivative.first;
+      for (size_t i = 0; i < derivative.by.size(); ++i)
+        numbers(to)[row] += tangent[i] * derivative.by[i];
     });
   }
 };
@@ -75,8 +82,8 @@ nova::Tensor times_of(const SimState& state, Run run, nova::Tape& tape) {
   step->events.assign(run.begin(), run.end());
   nova::CustomOp op{.name = "event_times", .inputs = {}, .outputs = {}, .vjp = nullptr};
   for (const auto& event : run)
-    for (const MotionEvent::Slope& slope : event->slopes) {
-      const nova::Tensor array = array_of(state, slope);
+    for (const MotionEvent::TimeDerivative& derivative : event->derivatives) {
+      const nova::Tensor array = array_of(state, derivative);
       const auto known = std::ranges::find(step->arrays, array.range()->data());
       step->inputs.push_back(static_cast<size_t>(known - step->arrays.begin()));
       if (known != step->arrays.end()) continue;

@@ -118,8 +118,7 @@ std::string why_surrogate(const GradientCounts& c) {
 std::string worst_steps(const GradientCounts& c, bool implicit, bool has_unclaimed) {
   if (c.surrogate > 0)
     return some(c.surrogate, c.steps) + " are a surrogate (the first is step " +
-           std::to_string(c.surrogate_step) + "), because " +
-           why_surrogate(c) +
+           std::to_string(c.surrogate_step) + "), because " + why_surrogate(c) +
            ". Gradients through these steps may have any length and sign";
   if (c.frozen > 0)
     return some(c.frozen, c.steps) +
@@ -147,8 +146,7 @@ std::string reason_of(const GradientCounts& c, bool implicit, const MotionCounts
                                           "changes between sticking and slipping"};
   return text + ". Contacts changed " + std::to_string(events) + " times (first in step " +
          std::to_string(c.event_step) + ": that of " + pair_text(c.event) + " " +
-         kWhat[c.event.event] + ")." +
-         motion_of(motion);
+         kWhat[c.event.event] + ")." + motion_of(motion);
 }
 
 }  // namespace
@@ -156,9 +154,9 @@ std::string reason_of(const GradientCounts& c, bool implicit, const MotionCounts
 GradientInfo gradient_info(const GradientCounts& c, bool implicit, const MotionCounts* motion) {
   GradientInfo info;
   const int64_t unclaimed = unclaimed_steps(motion);
-  info.label = c.surrogate > 0 || unclaimed > 0                 ? "surrogate"
-               : c.frozen > 0                                   ? "frozen"
-               : implicit                                       ? "implicit"
+  info.label = c.surrogate > 0 || unclaimed > 0 ? "surrogate"
+               : c.frozen > 0                   ? "frozen"
+               : implicit                       ? "implicit"
                : motion != nullptr && motion->held == nullptr && is_of_the_motion(*motion)
                    ? "exact of the motion"
                    : "exact of the code";
@@ -240,9 +238,10 @@ GradientInfo worst_of(std::span<const GradientInfo> all) {
 
 namespace {
 bool share(const MotionEvent& a, const MotionEvent& b) {
-  return std::ranges::any_of(a.slopes, [&](const MotionEvent::Slope& x) {
-    return std::ranges::any_of(
-        b.slopes, [&](const MotionEvent::Slope& y) { return x.of == y.of && x.first == y.first; });
+  return std::ranges::any_of(a.derivatives, [&](const MotionEvent::TimeDerivative& x) {
+    return std::ranges::any_of(b.derivatives, [&](const MotionEvent::TimeDerivative& y) {
+      return x.of == y.of && x.first == y.first;
+    });
   });
 }
 }  // namespace

@@ -122,8 +122,8 @@ void SelfContact::begin(const Rows& rows) {
   for (const int32_t p : vertices_) {
     const Vec4f& v = rows.start[index(p)];
     double& slack = slack_[index(world_[index(p)])];
-    slack = std::max(
-        slack, 4.0 * 0x1p-23 * wide(std::max({std::abs(v.x), std::abs(v.y), std::abs(v.z)})));
+    slack = std::max(slack,
+                     4.0 * 0x1p-23 * wide(std::max({std::abs(v.x), std::abs(v.y), std::abs(v.z)})));
   }
   next_ = apart_;
   is_balanced_ = has_others_;
@@ -220,10 +220,9 @@ void SelfContact::find_contacts(const Given& given) {
                  .factor = edge_factor(pair),
                  .load = 0.0f};
     if (c.factor < kLeastFactor) continue;
-    c.load = -c.factor * gap_slopes(narrow(c.gap), pair.radius, model_.soft_contact_ke).first;
+    c.load = -c.factor * gap_derivatives(narrow(c.gap), pair.radius, model_.soft_contact_ke).first;
     set_weights(pair, nearest.weight, c.weight);
-    for (size_t a = 0; a < 4; ++a)
-      corners_.push_back(c.weight[a] != 0.0 ? pair.particle[a] : -1);
+    for (size_t a = 0; a < 4; ++a) corners_.push_back(c.weight[a] != 0.0 ? pair.particle[a] : -1);
     contacts_.push_back(c);
     join(pair);
   }
@@ -261,13 +260,14 @@ SurfaceForce<float> SelfContact::force_of(const Contact& c) const {
   SurfaceForce<float> s;
   const auto gap = narrow(math::dot(c.normal, apart));
   if (!(gap < pair.radius)) return s;
-  const GapSlopes<float> slopes = gap_slopes(gap, pair.radius, model_.soft_contact_ke);
+  const GapDerivatives<float> derivatives =
+      gap_derivatives(gap, pair.radius, model_.soft_contact_ke);
   const double un = math::dot(c.normal, moved);
   const float damping = un < 0.0 ? c.factor * model_.soft_contact_kd / rows_.h : 0.0f;
   s.normal = narrow(c.normal);
   s.slip = narrow(moved - c.normal * un);
-  s.along = -c.factor * slopes.first - damping * narrow(un);
-  s.stiffness = c.factor * slopes.second + damping;
+  s.along = -c.factor * derivatives.first - damping * narrow(un);
+  s.stiffness = c.factor * derivatives.second + damping;
   const float slip = math::length(s.slip), eps = rows_.slip;
   const float shape = slip > eps ? 1.0f / slip : (2.0f - slip / eps) / eps;
   s.friction = model_.soft_contact_mu * c.load * shape;

@@ -59,14 +59,14 @@ void StepAdjoint::reserve() {
     for (Rows4* rows :
          {&x_bar_, &u_, &d_, &own_, &start_bar_, &target_bar_, &gravity_bar_, &multipliers_})
       *rows = Rows4(n, device);
-    mass_bar_ = DeviceArray<float>(n, device);
+    mass_adjoint_ = DeviceArray<float>(n, device);
   }
   if (step_.coarse() != nullptr)
     while (fields_.size() < static_cast<size_t>(step_.options().iterations))
       fields_.emplace_back(n, device);
   const size_t contacts = step_.contact_items().rows();  // capacity for contacts
-  if (contact_bars_.rows() == contacts * kContactLawFloats) return;
-  contact_bars_ = DeviceArray<float>(contacts * kContactLawFloats, device);
+  if (contact_adjoints_.rows() == contacts * kContactLawFloats) return;
+  contact_adjoints_ = DeviceArray<float>(contacts * kContactLawFloats, device);
   shape_of_contact_ = DeviceArray<int32_t>(contacts, device);
   of_shapes_ = DeviceArray<int32_t>(contacts, device);
   shape_begin_ = DeviceArray<int32_t>(static_cast<size_t>(step_.model().shape_count()) + 1, device);
@@ -92,8 +92,8 @@ VbdAdjointArguments StepAdjoint::arguments(const Rows4* before, int64_t first, i
           .own = own_,
           .start_adjoint = start_bar_,
           .target_adjoint = target_bar_,
-          .mass_adjoint = mass_bar_,
-          .contact_adjoints = key_.with_contacts ? &contact_bars_ : nullptr,
+          .mass_adjoint = mass_adjoint_,
+          .contact_adjoints = key_.with_contacts ? &contact_adjoints_ : nullptr,
           .at_solution = int{key_.at_solution},
           .weights = int{key_.weights},
           .multiplier = nullptr,
@@ -238,9 +238,9 @@ void StepAdjoint::make_list(const VbdAdjointBeginArguments& begin,
                {.values = Untyped(values)});
   };
   for (const Array* rows :
-       std::initializer_list<const Array*>{&start_bar_, &target_bar_, &mass_bar_, &numbers_})
+       std::initializer_list<const Array*>{&start_bar_, &target_bar_, &mass_adjoint_, &numbers_})
     clear(*rows);
-  if (key_.with_contacts) clear(contact_bars_);
+  if (key_.with_contacts) clear(contact_adjoints_);
   begin_ = list_->add(kernels().adjoint_begin, n, begin);
   sweeps_ = list_->size();
   const auto add_colors = [&](const Rows4* iterate, const Rows4* sum) {

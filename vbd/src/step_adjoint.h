@@ -89,7 +89,7 @@ class StepAdjoint {
   Key key_;
   std::vector<Rows4> fields_;  // of the coarse steps: P A^-1 P^T times the adjoint
   Rows4 x_bar_, u_, d_, own_, start_bar_, target_bar_, gravity_bar_, multipliers_;
-  DeviceArray<float> mass_bar_, terms_, numbers_, contact_bars_;
+  DeviceArray<float> mass_adjoint_, terms_, numbers_, contact_adjoints_;
   DeviceArray<int32_t> shape_of_contact_, shape_begin_, of_shapes_;
 };
 

@@ -34,7 +34,7 @@ void StepAdjoint::put_state(const StepInputs& in, const StepDerivatives& g) cons
                   .x_adjoint = x_bar_,
                   .start_adjoint = start_bar_,
                   .target_adjoint = target_bar_,
-                  .mass_adjoint = mass_bar_,
+                  .mass_adjoint = mass_adjoint_,
                   .h = step_.dt(),
                   .have_targets = int{in.targets.rows() != 0},
                   .by_q = if_any(g.particle_q),
@@ -91,7 +91,7 @@ void StepAdjoint::put_contacts(const StepInputs& in, const StepDerivatives& g) c
   if (any(g.particle_radius))
     novaphy::run(kernels().radius_gradient, m.particle_count(),
                  {.contact_begin = with_contacts ? &step_.contact_begin() : nullptr,
-                  .contact_adjoints = with_contacts ? &contact_bars_ : nullptr,
+                  .contact_adjoints = with_contacts ? &contact_adjoints_ : nullptr,
                   .by_radius = if_any(g.particle_radius)});
   if (!any(g.shape_margin, g.shape_material_ke, g.shape_material_kd, g.shape_material_mu)) return;
   if (with_contacts) {
@@ -111,7 +111,7 @@ void StepAdjoint::put_contacts(const StepInputs& in, const StepDerivatives& g) c
   novaphy::run(kernels().shape_gradient, m.shape_count(),
                {.begin = with_contacts ? &shape_begin_ : nullptr,
                 .contacts = with_contacts ? &of_shapes_ : nullptr,
-                .contact_adjoints = with_contacts ? &contact_bars_ : nullptr,
+                .contact_adjoints = with_contacts ? &contact_adjoints_ : nullptr,
                 .mu = m.shape_material_mu,
                 .model_mu = m.soft_contact_mu,
                 .h = step_.dt(),

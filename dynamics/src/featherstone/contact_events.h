@@ -31,7 +31,7 @@ struct ContactEvent {
     int32_t points = 0;                // number of rows
     MotionFriction friction = MotionFriction::None;
     bool lands = false;
-    std::shared_ptr<MotionEvent> told = {};
+    std::shared_ptr<MotionEvent> listed = {};
   };
   std::vector<int32_t> trees;
   std::vector<Group> groups;

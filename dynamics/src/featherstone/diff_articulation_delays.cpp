@@ -32,7 +32,7 @@ void delays_vjp(const Step& s, std::span<const float> mismatch, std::span<const 
   for (const ContactEvent& event : s.motion->found.events) {
     double s_all = 0.0;
     for (const int32_t tree : event.trees) s_all += double{mismatch[static_cast<size_t>(tree)]};
-    tell_mismatch(event, h_before, s_all);
+    list_mismatch(event, h_before, s_all);
     const double approach = total_approach(event);
     const bool apart = event.is_apart();
     std::vector<double> by_push(event.groups.size());

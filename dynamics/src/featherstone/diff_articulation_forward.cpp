@@ -123,7 +123,7 @@ StepOutputs outputs_of(const Step& s) {
 namespace {
 
 // Stores the events and branches of a step's contacts. Call this after a recorded step.
-void tell_contacts(const Step& s) {
+void report_contacts(const Step& s) {
   ArticulationStep::Shared& shared = *s.shared;
   if (s.motion) {
     const std::shared_ptr<const Step> last = s.continues ? shared.last.lock() : nullptr;
@@ -137,20 +137,20 @@ void tell_contacts(const Step& s) {
   shared.contacts.clear_branches();
 }
 
-// Runs a step with contacts. `tell`: also stores the branches, and writes the contact forces.
-void run_contacts(const Step& s, const ArticulationStepArguments& step, bool tell) {
+// Runs a step with contacts. `reports`: also stores the branches, and writes the contact forces.
+void run_contacts(const Step& s, const ArticulationStepArguments& step, bool reports) {
   ArticulationStep::Shared& shared = *s.shared;
   ContactArguments rows = kept_arguments(s);
   ContactRecord record = contact_record(s);
-  if (tell && s.force) rows.force = *s.force;
-  if (tell && s.point_id) rows.point_id = *s.point_id;
-  record.notes = tell;
+  if (reports && s.force) rows.force = *s.force;
+  if (reports && s.point_id) rows.point_id = *s.point_id;
+  record.notes = reports;
   shared.contacts.step(step, rows, s.options, record, shared.trees ? &*shared.trees : nullptr);
   if (shared.trees) *kept_contacts(s).far = shared.contacts.far_island(s.options.pgs_tolerance);
-  if (tell) tell_contacts(s);
+  if (reports) report_contacts(s);
 }
 
-void run_forward(const Step& s, bool tell) {
+void run_forward(const Step& s, bool reports) {
   const nova::NoGrad no_grad;
   ArticulationStep::Shared& shared = *s.shared;
   const Unrecorded unrecorded(shared.runs_on_host());
@@ -159,9 +159,9 @@ void run_forward(const Step& s, bool tell) {
     ContactSteps& contacts = shared.contacts;
     if (s.copies_contacts())
       contacts.copy(s.found ? s.found->arguments() : contacts.none(), kept_arguments(s));
-    if (acts(s, Tensor()) || contacts.has_seen()) return run_contacts(s, step, tell);
+    if (acts(s, Tensor()) || contacts.has_seen()) return run_contacts(s, step, reports);
     *kept_contacts(s).far = {};
-    if (tell) articulation::note_step(articulation::BranchNotes(), shared.branches);
+    if (reports) articulation::note_step(articulation::BranchNotes(), shared.branches);
   }
   if (!shared.runs_on_host()) return run(tree_step_kernel(), s.count, step);
   shared.trees->step(in_memory(step), *s.model, shared.all, s.options, nullptr, true);
@@ -177,8 +177,8 @@ std::vector<Tensor> reads_of(const Step& s) {
   return all;
 }
 
-void submit_forward(const std::shared_ptr<const Step>& step, bool tell) {
-  const auto run = [step, tell] { run_forward(*step, tell); };
+void submit_forward(const std::shared_ptr<const Step>& step, bool reports) {
+  const auto run = [step, reports] { run_forward(*step, reports); };
   if (!works_on_host(*step)) return run();
   const auto replay = [run, step] {
     run();

@@ -149,7 +149,7 @@ void note_limits(const Step& s, const MotionNotes* last) {
         ++s.shared->motion.unmoved;
       else
         add_limit_event(s, t, k, acted);
-      if (!acted && notes.limits.size() > known) tell_limit(s, t, k);
+      if (!acted && notes.limits.size() > known) list_limit(s, t, k);
     }
     if (notes.limits.size() > first + 1) ++s.shared->motion.several;
   }

@@ -144,7 +144,7 @@ void note_motion(const std::shared_ptr<const Step>& step,
   bool follows = false;  // an earlier event ends at the start of this step, or continues
   find_stops(s, last,
              [&](std::span<const int32_t> limits) { return smooth_accelerations(s, in, limits); });
-  tell_events(s, in, before.get());
+  list_events(s, in, before.get());
   if (last != nullptr) {
     last->next = s.motion;
     follows = last->in_contact();

@@ -58,8 +58,8 @@ struct MotionNotes {
   std::vector<char> inside;  // {trees}: 1 if an event continues at the start; empty: no tree
   // The index of the step in its chain of consecutive steps, and the time at its start.
   int64_t number = 0, chain = 0;
-  double time = 0.0;  // s
-  MotionEvents told;  // the MotionEvents of `found` and `limits`
+  double time = 0.0;    // s
+  MotionEvents listed;  // the MotionEvents of `found` and `limits`
   std::weak_ptr<MotionNotes> next;
   // the step whose controls apply to the continuing event
   std::shared_ptr<const ArticulationStep::Step> controls;
@@ -122,14 +122,14 @@ void for_dofs(const ArticulationStep::Step& s, const ContactEvent& event, const 
     for (int32_t k = 0; k < rows[tree].dof_count; ++k)
       visit(at++, static_cast<size_t>(rows[tree].first_dof + k));
 }
-// These functions fill the event list of GradientInfo. tell_events adds the contacts that begin in
-// a step, with their times, and completes the landings of the step before (null: none). tell_limit
-// adds a dof that reaches its limit. tell_mismatch stores H (the adjoint times the rates) of an
+// These functions fill the event list of GradientInfo. list_events adds the contacts that begin in
+// a step, with their times, and completes the landings of the step before (null: none). list_limit
+// adds a dof that reaches its limit. list_mismatch stores H (the adjoint times the rates) of an
 // event: `h_before` {trees} before it, and `mismatch`, by which H drops at the event.
-void tell_events(const ArticulationStep::Step& step, const ArticulationArguments& in,
+void list_events(const ArticulationStep::Step& step, const ArticulationArguments& in,
                  const ArticulationStep::Step* before);
-void tell_limit(const ArticulationStep::Step& step, int32_t tree, int32_t dof);
-void tell_mismatch(const ContactEvent& event, std::span<const double> h_before, double mismatch);
+void list_limit(const ArticulationStep::Step& step, int32_t tree, int32_t dof);
+void list_mismatch(const ContactEvent& event, std::span<const double> h_before, double mismatch);
 // Returns whether a contact of curved shapes, with a normal from a search, pushes without a bounce.
 bool holds_searched(const ArticulationStep::Step& step, const ArticulationArguments& in);
 // Memory for the limits of a step without those of some dofs, which `in` then reads. Trees do not
@@ -167,8 +167,7 @@ void delays_vjp(const ArticulationStep::Step& step, std::span<const float> misma
 // Adds the delays {trees} that the tangents of the inputs cause. `jump` {dofs} gets the
 // displacement between groups of one event that have different delays.
 void delays_jvp(const ArticulationStep::Step& step, const ArticulationArguments& in,
-                std::span<const nova::Tensor> moved, std::span<float> delay,
-                std::span<float> jump);
+                std::span<const nova::Tensor> moved, std::span<float> delay, std::span<float> jump);
 // Finds the events of a step. Call this after the step has run, before the solver's contacts are
 // used again. `before`: the step that ended where this step starts; null: none.
 void note_motion(const std::shared_ptr<const ArticulationStep::Step>& step,

@@ -187,10 +187,10 @@ struct ArticulationStep::Shared {
   // The last step of each chain, by the memory of joint_q at its end. Loops that alternate have a
   // chain each.
   std::map<const void*, std::weak_ptr<const Step>> ends;
-  int64_t moving_steps = 0;                 // recorded steps with MotionNotes
-  int64_t chain = 0;                        // the newest chain
-  const MotionEvents* last_told = nullptr;  // events of the step under recording
-  int64_t next_step = 0;                    // the number of the next recorded step
+  int64_t moving_steps = 0;                   // recorded steps with MotionNotes
+  int64_t chain = 0;                          // the newest chain
+  const MotionEvents* last_listed = nullptr;  // events of the step under recording
+  int64_t next_step = 0;                      // the number of the next recorded step
   // On devices: whether a step since the last check did not converge, and the number of such steps.
   std::shared_ptr<bool> far = std::make_shared<bool>(false);
   int64_t far_steps = 0;
@@ -289,9 +289,9 @@ inline ArticulationArguments host_arguments(const Step& s) {
 // Runs a step from the state `from` (null: the state of the first step) into `to`.
 void run_host(const Step& s, const ArticulationArguments& in, const StepOutputs* from,
               const StepOutputs& to);
-// Runs the step now, or in the replays of a capture. `tell`: also counts its branches and writes
+// Runs the step now, or in the replays of a capture. `reports`: also counts its branches and writes
 // the contact forces.
-void submit_forward(const std::shared_ptr<const Step>& step, bool tell);
+void submit_forward(const std::shared_ptr<const Step>& step, bool reports);
 // Runs all steps of the operation again.
 void run_all(const std::shared_ptr<const Step>& step);
 // Runs the adjoint of a step now, or in the replays of a capture.

@@ -170,8 +170,8 @@ class CountsOfStep {
     witness_->motion.chain_steps = shared_.motion.chain_steps;
     witness_->motion.moved += shared_.motion.moved - motion_.moved;
     witness_->motion.inexact += shared_.motion.inexact - motion_.inexact;
-    if (shared_.last_told != nullptr)
-      for (const auto& event : *std::exchange(shared_.last_told, nullptr))
+    if (shared_.last_listed != nullptr)
+      for (const auto& event : *std::exchange(shared_.last_listed, nullptr))
         witness_->motion.add(event);
   }
 
@@ -204,8 +204,8 @@ bool note(ArticulationStep::Shared& shared, const std::shared_ptr<const Step>& s
   if (touches && !exact) ++shared.motion.inexact;
   shared.motion.chain = step->motion->chain;
   shared.motion.chain_steps = step->motion->number + 1;
-  for (const auto& event : step->motion->told) shared.motion.add(event);
-  shared.last_told = &step->motion->told;
+  for (const auto& event : step->motion->listed) shared.motion.add(event);
+  shared.last_listed = &step->motion->listed;
   shared.last = step;
   return forgets;
 }

@@ -21,14 +21,15 @@ std::shared_ptr<MotionEvent> new_event(const Step& s, int32_t tree) {
   event->version = s.in(kAt.q).range()->version();
   return event;
 }
-MotionEvent::Slope no_slope(const Step& s, int32_t tree) {
+MotionEvent::TimeDerivative no_derivative(const Step& s, int32_t tree) {
   const auto [first, count] = coordinates_of(s, tree);
   return {.first = first, .by = std::vector<float>(static_cast<size_t>(count))};
 }
 
 // Returns the derivative of an event's time by a joint limit. `side`: as in LimitEvent. `approach`:
 // approach speed of the dof.
-MotionEvent::Slope limit_slope(const Step& s, int32_t dof, float side, float approach) {
+MotionEvent::TimeDerivative limit_derivative(const Step& s, int32_t dof, float side,
+                                             float approach) {
   const Model& m = *s.model;
   return {.of = MotionArray::JointLimit,
           .first = dof,
@@ -45,35 +46,36 @@ int32_t joint_of(const Step& s, int32_t dof) {
 
 // Adds a group of contacts that hit to the event list, with derivatives by the coordinates of the
 // event's trees.
-void tell_group(const Step& s, const ArticulationArguments& in, const ContactEvent& event,
+void list_group(const Step& s, const ArticulationArguments& in, const ContactEvent& event,
                 ContactEvent::Group& group) {
-  group.told = new_event(s, event.trees.front());
-  MotionEvent& told = *group.told;
-  told.shape0 = group.shape0;
-  told.shape1 = group.shape1;
-  told.kind = group.lands ? MotionEventKind::Landing : MotionEventKind::Bounce;
+  group.listed = new_event(s, event.trees.front());
+  MotionEvent& listed = *group.listed;
+  listed.shape0 = group.shape0;
+  listed.shape1 = group.shape1;
+  listed.kind = group.lands ? MotionEventKind::Landing : MotionEventKind::Bounce;
   if (group.dof >= 0) {
-    told.kind = MotionEventKind::Limit;
-    told.joint = joint_of(s, group.dof);
+    listed.kind = MotionEventKind::Limit;
+    listed.joint = joint_of(s, group.dof);
   }
-  told.whole = !group.lands;
-  told.friction = group.friction;
-  told.approach = group.approach / group.impulse;
-  told.set_time(s.motion->time, s.dt, group.gap / group.impulse);
+  listed.whole = !group.lands;
+  listed.friction = group.friction;
+  listed.approach = group.approach / group.impulse;
+  listed.set_time(s.motion->time, s.dt, group.gap / group.impulse);
   std::vector<float> covector(static_cast<size_t>(s.in(kAt.qd).size()));
   for_dofs(s, event,
            [&](size_t at, size_t row) { covector[row] = group.normal_push[at] / group.approach; });
   const ArticulationRows* const rows = rows_of_step(s);
   for (const int32_t t : event.trees) {
-    MotionEvent::Slope slope = no_slope(s, t);
+    MotionEvent::TimeDerivative derivative = no_derivative(s, t);
     art::tangent_to_gradient(articulation_tree(in, rows[t]), in.arrays.q.rows(),
                              covector.data() + rows[t].first_dof, [&](int32_t row, float value) {
-                               slope.by[static_cast<size_t>(row - slope.first)] = value;
+                               derivative.by[static_cast<size_t>(row - derivative.first)] = value;
                              });
-    told.slopes.push_back(std::move(slope));
+    listed.derivatives.push_back(std::move(derivative));
   }
-  if (group.dof >= 0) told.slopes.push_back(limit_slope(s, group.dof, group.side, group.approach));
-  s.motion->told.push_back(group.told);
+  if (group.dof >= 0)
+    listed.derivatives.push_back(limit_derivative(s, group.dof, group.side, group.approach));
+  s.motion->listed.push_back(group.listed);
 }
 
 }  // namespace
@@ -91,7 +93,7 @@ std::shared_ptr<const Step> take_before(ArticulationStep::Shared& shared,
   return before;
 }
 
-void tell_events(const Step& s, const ArticulationArguments& in, const Step* before) {
+void list_events(const Step& s, const ArticulationArguments& in, const Step* before) {
   MotionNotes& notes = *s.motion;
   notes.chain = s.shared->chain;
   if (before != nullptr) {
@@ -99,43 +101,44 @@ void tell_events(const Step& s, const ArticulationArguments& in, const Step* bef
     notes.chain = last.chain;
     notes.number = last.number + 1;
     notes.time = last.time + double{before->dt};
-    for (const auto& told : last.told) told->whole = true;
+    for (const auto& listed : last.listed) listed->whole = true;
     for (const auto& [event, group] : notes.found.turned) {
-      MotionEvent& told = *last.found.events[event].groups[group].told;
-      if (told.friction == MotionFriction::Turns) continue;
-      told.friction = MotionFriction::Turns;
+      MotionEvent& listed = *last.found.events[event].groups[group].listed;
+      if (listed.friction == MotionFriction::Turns) continue;
+      listed.friction = MotionFriction::Turns;
       ++s.shared->motion.phased;
     }
   }
   for (ContactEvent& event : notes.found.events)
-    for (ContactEvent::Group& group : event.groups) tell_group(s, in, event, group);
+    for (ContactEvent::Group& group : event.groups) list_group(s, in, event, group);
 }
 
-void tell_limit(const Step& s, int32_t tree, int32_t dof) {
+void list_limit(const Step& s, int32_t tree, int32_t dof) {
   const ArticulationArguments in = host_arguments(s);
   const art::StepInputs<float> inputs = articulation_inputs(in);
   const art::Link* link = articulation_tree(in, rows_of_step(s)[tree]).links;
   while (link->dof != dof) ++link;
   const float q = inputs.q[link->coord], rate = inputs.qd[dof];
-  const auto told = new_event(s, tree);
-  told->kind = MotionEventKind::Limit;
-  told->joint = joint_of(s, dof);
-  told->approach = std::abs(rate);
-  told->set_time(s.motion->time, s.dt,
-                 rate < 0.0f ? q - inputs.limit_lower[dof] : inputs.limit_upper[dof] - q);
-  MotionEvent::Slope slope = no_slope(s, tree);
-  slope.by[static_cast<size_t>(link->coord - slope.first)] = -1.0f / rate;
-  told->slopes.push_back(std::move(slope));
-  told->slopes.push_back(limit_slope(s, dof, rate < 0.0f ? 1.0f : -1.0f, told->approach));
-  s.motion->told.push_back(told);
+  const auto listed = new_event(s, tree);
+  listed->kind = MotionEventKind::Limit;
+  listed->joint = joint_of(s, dof);
+  listed->approach = std::abs(rate);
+  listed->set_time(s.motion->time, s.dt,
+                   rate < 0.0f ? q - inputs.limit_lower[dof] : inputs.limit_upper[dof] - q);
+  MotionEvent::TimeDerivative derivative = no_derivative(s, tree);
+  derivative.by[static_cast<size_t>(link->coord - derivative.first)] = -1.0f / rate;
+  listed->derivatives.push_back(std::move(derivative));
+  listed->derivatives.push_back(
+      limit_derivative(s, dof, rate < 0.0f ? 1.0f : -1.0f, listed->approach));
+  s.motion->listed.push_back(listed);
 }
 
-void tell_mismatch(const ContactEvent& event, std::span<const double> h_before, double mismatch) {
+void list_mismatch(const ContactEvent& event, std::span<const double> h_before, double mismatch) {
   double h = 0.0;
   for (const int32_t tree : event.trees) h += h_before[static_cast<size_t>(tree)];
   for (const ContactEvent::Group& group : event.groups) {
-    group.told->h_before = h;
-    group.told->h_after = h - mismatch;
+    group.listed->h_before = h;
+    group.listed->h_after = h - mismatch;
   }
 }
 

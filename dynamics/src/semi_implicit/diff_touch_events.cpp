@@ -214,8 +214,8 @@ void start_vjp(const TouchWork& work, const StateRows& of, const StateRows& to) 
       before += by_side;
     }
     if (step->number > 0) continue;
-    event.told->h_before = before;
-    event.told->h_after = event.told->h_before - event.mismatch;
+    event.listed->h_before = before;
+    event.listed->h_after = event.listed->h_before - event.mismatch;
     for (size_t i = 0; i < 2; ++i)
       step->start[i].add_gradient(scaled(event.delay_by[i], event.mismatch), to);
     event.backward_at = -1;
@@ -359,8 +359,8 @@ MotionCounts TouchList::counts() const {
   counts.moved = std::ranges::count_if(works, [](const auto& work) { return work->acts(); });
   for (const auto& e : events) {
     if (e->flaw == detail::TouchFlaw::Rests) continue;
-    e->told->whole = true;
-    counts.add(e->told);
+    e->listed->whole = true;
+    counts.add(e->listed);
     if (e->shakes || (e->is_window() && e->turns && e->stiff_angle > kWindowAngle)) ++counts.stiff;
     if (e->speed_off > detail::kMostSpeedOff) ++counts.rough;
     const bool is_soft = e->stiff_angle <= detail::kSoftAngle && !e->rubs;

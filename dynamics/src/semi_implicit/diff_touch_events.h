@@ -76,8 +76,8 @@ struct TouchEvent {
   int32_t first = 0, second = 0, point = 0;
   // derivative of the delay by positions and rotations of both sides
   std::array<Tangent, 2> delay_by{};
-  double stiff_angle = 0.0;           // h w
-  bool turns = false;                 // the force has a moment about a center of mass
+  double stiff_angle = 0.0;  // h w
+  bool turns = false;        // the force has a moment about a center of mass
   // Friction removes most of the slip in a step. Or friction changes between sticking and slipping
   // in a stiff touch or in a touch that rotates a body.
   bool shakes = false;
@@ -86,7 +86,7 @@ struct TouchEvent {
   double speed_off = 0.0;
   bool slides = false;    // whether friction slid in the last step
   double approach = 0.0;  // m/s
-  std::shared_ptr<MotionEvent> told = {};
+  std::shared_ptr<MotionEvent> listed = {};
   int64_t begin = 0;                // index in the chain of the step in which the touch begins
   int64_t points = 0, changed = 0;  // code of the pushing points, and the step of its last change
   // other contacts of both sides, which are at rest during this touch
@@ -126,7 +126,7 @@ struct TouchRamp {
 
 // Returns the MotionEvent of a touch whose first row is `row`, in a step that starts at `time` (s)
 // with the sides at `frames`.
-std::shared_ptr<MotionEvent> tell_touch(const Model& m, const TouchRow& row,
+std::shared_ptr<MotionEvent> list_touch(const Model& m, const TouchRow& row,
                                         const TouchEvent& event,
                                         const std::array<SideFrame, 2>& frames, double time,
                                         double dt);
@@ -137,8 +137,8 @@ struct TouchWork {
   std::vector<std::shared_ptr<TouchRamp>> ramps;
   const void* of_record = nullptr;  // address of the step in an AdjointRecord
   double dt = 0.0;                  // s
-  bool may_hold = false;      // TouchSettings::may_hold
-  mutable bool held = false;  // a backward or jvp inside a capture has held the times
+  bool may_hold = false;            // TouchSettings::may_hold
+  mutable bool held = false;        // a backward or jvp inside a capture has held the times
   // Returns whether the gradient of the step has a term besides that of the code.
   bool acts() const {
     return std::ranges::any_of(steps, [](const auto& s) { return s->event->is_window(); }) ||

@@ -25,43 +25,44 @@ std::array<Vec3d, 2> rates_of(const SimState& s, const TouchSide& side) {
   return {wide(v.linear), wide(v.angular)};
 }
 
-std::shared_ptr<MotionEvent> tell_touch(const Model& m, const TouchRow& row,
+std::shared_ptr<MotionEvent> list_touch(const Model& m, const TouchRow& row,
                                         const TouchEvent& event,
                                         const std::array<SideFrame, 2>& frames, double time,
                                         double dt) {
-  auto told = std::make_shared<MotionEvent>();
-  told->kind = MotionEventKind::Spring;
-  told->shape0 = row.first;
-  told->world = m.shape_world.data()[row.first];
+  auto listed = std::make_shared<MotionEvent>();
+  listed->kind = MotionEventKind::Spring;
+  listed->shape0 = row.first;
+  listed->world = m.shape_world.data()[row.first];
   if (row.second >= ContactPair::kParticle) {
-    told->particle = row.second - ContactPair::kParticle;
-    told->world = std::max(told->world, m.particle_world.data()[told->particle]);
+    listed->particle = row.second - ContactPair::kParticle;
+    listed->world = std::max(listed->world, m.particle_world.data()[listed->particle]);
   } else {
-    told->shape1 = row.second;
-    told->world = std::max(told->world, m.shape_world.data()[row.second]);
+    listed->shape1 = row.second;
+    listed->world = std::max(listed->world, m.shape_world.data()[row.second]);
   }
-  told->world = std::max(told->world, 0);
-  if (event.rubs) told->friction = row.slides ? MotionFriction::Slides : MotionFriction::Sticks;
-  told->approach = static_cast<float>(event.approach);
+  listed->world = std::max(listed->world, 0);
+  if (event.rubs) listed->friction = row.slides ? MotionFriction::Slides : MotionFriction::Sticks;
+  listed->approach = static_cast<float>(event.approach);
   // The gap is already closed, so the touch begins in the step before this one.
-  told->set_time(time, dt, row.gap);
-  told->phase = static_cast<float>(std::clamp(1.0 + row.gap / (event.approach * dt), 0.0, 1.0));
+  listed->set_time(time, dt, row.gap);
+  listed->phase = static_cast<float>(std::clamp(1.0 + row.gap / (event.approach * dt), 0.0, 1.0));
   for (size_t i = 0; i < 2; ++i) {
     SideFrame of = frames[i];
     if (!of.side.exists()) continue;
     const bool is_body = of.side.body >= 0;
     int32_t& number = is_body ? of.side.body : of.side.particle;
-    MotionEvent::Slope slope{is_body ? MotionArray::BodyQ : MotionArray::ParticleQ, 0, {}};
-    slope.by.resize(is_body ? 7 : 3);
-    slope.first = int64_t{number} * static_cast<int64_t>(slope.by.size());
+    MotionEvent::TimeDerivative derivative{
+        is_body ? MotionArray::BodyQ : MotionArray::ParticleQ, 0, {}};
+    derivative.by.resize(is_body ? 7 : 3);
+    derivative.first = int64_t{number} * static_cast<int64_t>(derivative.by.size());
     number = 0;  // row within the arrays of this side alone
     std::array<float, 6> rates{};
     of.add_gradient(event.delay_by[i],
-                    is_body ? StateRows{slope.by.data(), rates.data()}
-                            : StateRows{nullptr, nullptr, slope.by.data(), rates.data()});
-    told->slopes.push_back(std::move(slope));
+                    is_body ? StateRows{derivative.by.data(), rates.data()}
+                            : StateRows{nullptr, nullptr, derivative.by.data(), rates.data()});
+    listed->derivatives.push_back(std::move(derivative));
   }
-  return told;
+  return listed;
 }
 
 }  // namespace novaphy::diff::detail

@@ -78,12 +78,12 @@ void TouchMotion::Impl::begin_touch(const Model& m, const SimState& in, const To
                  turn = dot(event->delay_by[i][kTurn], event->delay_by[i][kTurn]);
     if (event->flaw == TouchFlaw::None && turn > 1e-6 * arm * dot(n, n)) event->turns = true;
   }
-  event->told = tell_touch(
+  event->listed = list_touch(
       m, row, *event, {frame_of(m, in, row.sides[0]), frame_of(m, in, row.sides[1])}, time, dt);
-  event->told->chain = chain;
-  event->told->step = number;
-  event->told->start = place(in).first;
-  event->told->version =
+  event->listed->chain = chain;
+  event->listed->step = number;
+  event->listed->start = place(in).first;
+  event->listed->version =
       settings.bodies ? in.body_q.range()->version() : in.particle_q.range()->version();
   for (TouchList* list : {&a, &b}) list->events.push_back(event);
   const auto [first, last] = waiting.equal_range(pair_key(row));

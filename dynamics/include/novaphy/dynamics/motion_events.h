@@ -39,15 +39,15 @@ struct MotionEvent {
 
   // The derivative of the event's time by rows of the state at the start of the event's step, or by
   // `limit`, the position limits of a joint. The array must still have the version `version`.
-  struct Slope {
+  struct TimeDerivative {
     MotionArray of = MotionArray::JointQ;
     int64_t first = 0;
     std::vector<float> by;
     DeviceArray<float> limit = {};
   };
-  const void* start = nullptr;  // memory of the first array of `slopes`
+  const void* start = nullptr;  // memory of the first array of `derivatives`
   uint64_t version = 0;
-  std::vector<Slope> slopes;
+  std::vector<TimeDerivative> derivatives;
 
   // Sets time (s) and phase from the gap (m or rad) at the start of the step.
   void set_time(double start_time, double dt, double gap) {

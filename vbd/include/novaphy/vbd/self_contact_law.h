@@ -30,11 +30,11 @@ namespace novaphy::vbd {
 
 // The derivatives E' (N) and E'' (N/m) of the potential.
 template <class T>
-struct GapSlopes {
+struct GapDerivatives {
   T first{}, second{};
 };
 template <class T>
-GapSlopes<T> gap_slopes(const T& d, const T& r, const T& k) {
+GapDerivatives<T> gap_derivatives(const T& d, const T& r, const T& k) {
   using math::select, math::min, math::max;
   const T zero = T(0.0f), t = T(0.5f) * r, k2 = (t * t) * k, least = min(T(1e-5f), T(0.5f) * t);
   const T above = max(d, least);

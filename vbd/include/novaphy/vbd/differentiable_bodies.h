@@ -53,8 +53,9 @@ class NOVAPHY_VBD_API DifferentiableBodies {
                                 const VbdGradientOptions& gradient_options);
   ~DifferentiableBodies();
 
-  // Runs a step, and iterates to its solution. The first iterations are those of SolverVBD. At most
-  // newton_iterations more follow. ErrorKind::Runtime: the step was not solved, unless
+  // Runs a step, and iterates to its solution: the iterations of SolverVBD, then at most
+  // newton_iterations more. A row that leaves a bound, and a contact that stops to slip, get a lower
+  // penalty than in SolverVBD. ErrorKind::Runtime: the step was not solved, unless
   // allow_unconverged. `contacts_follow`: whether the contacts were found from the state.
   std::shared_ptr<const VbdBodySolution> forward(const SimState& in, const SimState& out,
                                                  const Control* control, const Contacts* contacts,

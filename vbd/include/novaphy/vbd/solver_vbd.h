@@ -64,10 +64,10 @@ struct VbdSelfContacts {
 // `floor` come first, and among these the largest `relative` decides.
 struct VbdResidual {
   double force = 0.0;  // N: norm over the particles of the total force, with inertia
-  // N: the size of the forces, as a norm over the particles of the sum of two parts. The first part
-  // is m (y - xn - h vc)/h^2, with the mean velocity vc of the component. The second part is the
-  // sum of the norms of the forces from the particle's contacts and elements. A uniform motion does
-  // not change the scale.
+  // N: the scale of the forces, a norm over the particles of a + b. a is |m (y - xn - h vc)|/h^2,
+  // with the inertial position y, the position xn before the step, and the mean velocity vc of the
+  // component. b is the sum of the norms of the forces from the particle's contacts and elements. A
+  // uniform motion does not change the scale.
   double scale = 0.0;
   double relative = 0.0;  // force / scale; 0 where the force is 0
   double floor = 0.0;     // the value of `relative` that one rounding of the positions can cause

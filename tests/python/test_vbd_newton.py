@@ -228,3 +228,30 @@ def test_a_light_sheet_beside_a_heavy_body_ends_at_its_own_solution(kind):
     solver.step(alone.state(), exact, None, None, 1 / 60)
     motion = np.linalg.norm(exact.particle_q.numpy() - alone.particle_q.numpy())
     assert np.linalg.norm(both[rows] - exact.particle_q.numpy()) < 1e-2 * motion
+
+
+# Pull and press are relative, tri_ke and tri_ka in N/m, edge_ke in N, and the step in s. Each case
+# needs more than 30 iterations of Newton's method.
+@pytest.mark.parametrize(
+    ("cells", "pull", "press", "ke", "ka", "bend", "dt"),
+    [
+        (14, 0.05, 0.17, 127.0, 34.0, 3.5e-3, 1 / 120),
+        (8, 0.07, 0.22, 801.0, 5875.0, 0.0, 1 / 240),
+    ],
+)
+def test_steps_of_pressed_sheets_are_solved(cells, pull, press, ke, ka, bend, dt):
+    model = sheet(
+        pos=(0, 0, 0), dim_x=cells, dim_y=cells, cell_x=0.05, cell_y=0.05, tri_ke=ke, tri_ka=ka,
+        tri_kd=0.0, edge_ke=bend, edge_kd=0.0, fix_left=True, fix_right=True,
+    )  # fmt: skip
+    random, start, end = np.random.default_rng(0), model.state(), model.state()
+    middle = 0.025 * cells
+    q = model.particle_q.numpy() - (middle, middle, 0.0)
+    q = q * (1 + pull, 1 - press, 1) + (middle, middle, 0.0)
+    free = model.particle_mass.numpy() > 0
+    q[free] += random.normal(0, 3e-4, (free.sum(), 3))
+    start.particle_q.assign(q.astype(np.float32))
+    solver = SolverVBD(model, solve="converged")
+    solver.step(start, end, None, None, dt)
+    residual = solver.residual()
+    assert residual.relative <= max(1e-4, 2 * residual.floor)

@@ -230,14 +230,16 @@ struct Solution {
 // - An iteration holds the friction loads constant, so that the forces have an energy, and makes
 //   this energy fall. After a whole step without negative curvature the next step uses the complete
 //   derivative of the forces (refine).
-// - Iterations of VBD replace a step that fails. In the first half of the iterations they also
-//   replace a step that meets negative curvature, because that step can lead to another minimum.
+// - Iterations of VBD replace a step that fails. In the first half of the iterations, and at
+//   most 15, they also replace a step that meets negative curvature, because that step can lead to
+//   another minimum.
 // - If the residual is small, conjugate gradients for a pseudorandom load search for negative
 //   curvature. If they find a direction of negative curvature, the point is a saddle, and the step
 //   leaves the saddle along this direction.
 template <class Step>
 Solution solve_nonlinear(Step& step, double tolerance, int32_t iterations, int32_t sweeps) {
   constexpr int kIterationsInstead = 20;  // cheaper than a step of Newton's method
+  constexpr int kCareful = 15;            // most iterations without steps of negative curvature
   constexpr double kForcing = 1e-2;  // tolerance of the linear systems: an inexact Newton method
   constexpr double kSmall = 1e-3;    // the same, in the search for negative curvature
   const Components of = step.components();
@@ -274,7 +276,7 @@ Solution solve_nonlinear(Step& step, double tolerance, int32_t iterations, int32
         runs[c] = rest[c] = saddle[c];
       } else {
         is_near[c] = !curves_down;
-        goes[c] = !curves_down || k >= iterations / 2;
+        goes[c] = !curves_down || k >= std::min(iterations / 2, kCareful);
       }
     }
     Rows way = way_off_saddle(step, saddle, found.down);

@@ -8,7 +8,7 @@ namespace {
 
 // The penalty of a hard row in the matrix, over the penalty of the step's iterations. The method of
 // multipliers then needs few solutions.
-constexpr double kStiffer = 10.0;
+constexpr double kStiffer = 1e4;
 
 double wide(float v) { return static_cast<double>(v); }
 
@@ -260,7 +260,7 @@ double BodiesAdjoint::relative_change(const std::vector<Row6>& before,
 // Counts a sweep. Returns whether the sweeps can end.
 bool BodiesAdjoint::is_solved(const std::vector<Row6>& before, const std::vector<Row6>& after,
                               KrylovResult& result) {
-  constexpr double kSolved = 1e-8, kStalled = 1e-5;
+  constexpr double kSolved = 1e-8, kStalled = 1e-7;
   const double last = result.residual;
   ++result.iterations;
   result.residual = relative_change(before, after);

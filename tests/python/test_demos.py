@@ -109,29 +109,26 @@ def test_flags_of_urdf_files_are_refused_with_others(flags):
     assert done.returncode == 2 and f"{flags[0]}: expected with URDF files only" in done.stderr
 
 
-@pytest.mark.parametrize("scene", ["stack", "dominoes", "cloth", "wall", "pendulum"])
-def test_the_scenes_of_rigid_bodies_end_as_they_should(scene):
-    script = DEMOS.parent / "demo_rigid_scenes.py"
+def check_scene(demo: str, scene: str, frames: int):
+    """Run a scene of a demo, whose checks must pass."""
     done = subprocess.run(
-        [sys.executable, str(script), scene, "--headless", "150"],
+        [sys.executable, str(DEMOS.parent / f"demo_{demo}.py"), scene, "--headless", str(frames)],
         capture_output=True,
         text=True,
         timeout=300,
     )
     assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("scene", ["stack", "dominoes", "cloth", "wall", "pendulum"])
+def test_the_scenes_of_rigid_bodies_end_as_they_should(scene):
+    check_scene("rigid_scenes", scene, 150)
 
 
 @pytest.mark.skipif(not novaphy.has_vbd(), reason="built with NOVAPHY_BUILD_VBD=OFF")
 @pytest.mark.parametrize("scene", ["bridge", "seesaw", "motor", "dominoes", "ragdoll"])
 def test_the_scenes_of_bodies_in_vbd_end_as_they_should(scene):
-    script = DEMOS.parent / "demo_vbd_bodies.py"
-    done = subprocess.run(
-        [sys.executable, str(script), scene, "--headless", "240"],
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
+    check_scene("vbd_bodies", scene, 240)
 
 
 @pytest.mark.parametrize(
@@ -139,14 +136,7 @@ def test_the_scenes_of_bodies_in_vbd_end_as_they_should(scene):
     [("stack", 600), ("quadruped", 600), ("chain", 600), ("ant", 600), ("ants", 120)],
 )
 def test_the_scenes_of_articulations_end_as_they_should(scene, frames):
-    script = DEMOS.parent / "demo_articulated_scenes.py"
-    done = subprocess.run(
-        [sys.executable, str(script), scene, "--headless", str(frames)],
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0 and done.stdout.rstrip().endswith("ok"), done.stdout + done.stderr
+    check_scene("articulated_scenes", scene, frames)
 
 
 def test_a_box_is_pushed_to_its_mark_and_a_drone_flown_to_its_waypoint():

@@ -13,15 +13,18 @@ namespace {
 std::span<const float> values_of(const Range& gradient) {
   return {static_cast<const float*>(gradient.data()), gradient.bytes() / sizeof(float)};
 }
-bool is_finite(const Range& gradient) { return detail::first_not_finite(values_of(gradient)) < 0; }
+// A gradient on another device counts as finite, because the host cannot read its values.
+bool is_finite(const Range& gradient) {
+  return !gradient.storage().device().is_cpu() || detail::first_not_finite(values_of(gradient)) < 0;
+}
 
 }  // namespace
 
 // Checks only the columns that adjoints read; other columns may never have been written.
 bool Tape::Impl::is_finite_where_read(const Range& gradient, const Node& n) {
-  const std::span<const float> values = values_of(gradient);
-  if (detail::first_not_finite(values) < 0) return true;
+  if (is_finite(gradient)) return true;
   if (n.unread == 0) return false;
+  const std::span<const float> values = values_of(gradient);
   for (size_t k = 0; k < values.size(); ++k)
     if (!(n.unread >> k % static_cast<size_t>(n.unread_width) & 1) && !std::isfinite(values[k]))
       return false;

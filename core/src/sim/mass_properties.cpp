@@ -72,11 +72,27 @@ MassProperties solid_mass(GeoType type, const Vec3d& s, double density) {
   }
 }
 
-// Returns the scale of the hollow inside of a shell with wall thickness t.
-Vec3d hollow(GeoType type, const Vec3d& s, double t) {
+// The hollow inside of a shell: its scale, and the height of its center above that of the shape.
+struct Hollow {
+  Vec3d scale;
+  double z = 0.0;
+};
+
+// Returns the hollow of a cone, whose surface lies t inside the base and the lateral surface. The
+// apex sinks by t over the sine of the half opening angle.
+Hollow cone_hollow(double radius, double half_height, double t) {
+  const double height = 2.0 * half_height;
+  const double sinks = t * std::hypot(radius, height) / radius;
+  const double inside = height - t - sinks;
+  return {{radius * inside / height, 0.5 * inside, 0.0}, 0.5 * (t - sinks)};
+}
+
+// Returns the hollow of a shell with wall thickness t.
+Hollow hollow(GeoType type, const Vec3d& s, double t) {
   const ShapeTraits traits = shape_traits(type);
-  if (traits.is_rounded) return {s.x - t, s.y, 0.0};
-  return {s.x - t, s.y - t, traits.size == ShapeSize::RADIUS_HEIGHT ? 0.0 : s.z - t};
+  if (type == GeoType::CONE) return cone_hollow(s.x, s.y, t);
+  if (traits.is_rounded) return {{s.x - t, s.y, 0.0}};
+  return {{s.x - t, s.y - t, traits.size == ShapeSize::RADIUS_HEIGHT ? 0.0 : s.z - t}};
 }
 
 double trace(const Mat33d& a) { return a.m[0][0] + a.m[1][1] + a.m[2][2]; }
@@ -147,14 +163,16 @@ MassProperties shape_mass(std::string_view function, GeoType type, const Vec3f& 
   const double density = cfg.density;
   MassProperties mass = solid_mass(type, size, density);
   if (cfg.is_solid) return mass;
-  const Vec3d inside = hollow(type, size, cfg.margin);
-  const bool has_hollow = inside.x > 0.0 && (type == GeoType::SPHERE || inside.y > 0.0) &&
-                          (scale.z == 0.0f || inside.z > 0.0);
+  const Hollow inside = hollow(type, size, cfg.margin);
+  const bool has_hollow = inside.scale.x > 0.0 &&
+                          (type == GeoType::SPHERE || inside.scale.y > 0.0) &&
+                          (scale.z == 0.0f || inside.scale.z > 0.0);
   require(cfg.margin > 0.0f && has_hollow, ErrorKind::Value, function,
           ": cfg.margin: expected the wall of a shell (cfg.is_solid false), > 0 m and thinner than "
           "the shape, got ",
           cfg.margin, "; a shell without mass has cfg.density 0");
-  const MassProperties taken = solid_mass(type, inside, density);
+  MassProperties taken = solid_mass(type, inside.scale, density);
+  taken.com.z += inside.z;
   const double m = mass.mass - taken.mass;
   const Vec3d com = (mass.com * mass.mass - taken.com * taken.mass) / m;
   // Both inertias are moved to the center of the shell.

@@ -164,14 +164,15 @@ TEST(ModelBuilder, RefusesBadShapesAndKeepsNothingOfThem) {
   EXPECT_ERROR(builder.add_shape_box(-1, {.hz = -1.0f}), ErrorKind::Value, "scale.z (hz)");
   EXPECT_ERROR(builder.add_shape_sphere(-1, {.radius = -1.0f}), ErrorKind::Value, "radius");
   EXPECT_ERROR(builder.add_shape_sphere(-1, {.radius = kNan}), ErrorKind::Value,
-               "scale: expected finite");
+               "scale.x (radius): expected a finite number > 0");
   EXPECT_ERROR(builder.add_shape_capsule(-1, {.half_height = 0.0f}), ErrorKind::Value,
                "half_height");
   EXPECT_ERROR(builder.add_shape_plane({.width = -1.0f}), ErrorKind::Value, "width");
   EXPECT_ERROR(builder.add_shape_plane({.plane = {}}), ErrorKind::Value, "not zero");
   EXPECT_ERROR(builder.add_shape_plane({.plane = {1.0f, 0.0f, 0.0f, kNan}}), ErrorKind::Value,
                "plane: expected");
-  EXPECT_ERROR(builder.add_ground_plane({.height = kInf}), ErrorKind::Value, "plane: expected");
+  EXPECT_ERROR(builder.add_ground_plane({.height = kInf}), ErrorKind::Value,
+               "add_ground_plane: height: expected a finite number");
   EXPECT_ERROR(builder.add_shape_box(-1, {.xform = {{kNan, 0.0f, 0.0f}, Quatf::identity()}}),
                ErrorKind::Value, "xform.p: expected finite");
   EXPECT_ERROR(builder.add_shape_box(-1, {.xform = {{}, {0.0f, 0.0f, 0.0f, 1.01f}}}),
@@ -184,6 +185,7 @@ TEST(ModelBuilder, RefusesBadShapesAndKeepsNothingOfThem) {
   EXPECT_ERROR(builder.add_shape({.scale = {1.0f, 1.0f, 1.0f}}), ErrorKind::Value, "got NONE");
   EXPECT_ERROR(builder.add_shape({.type = GeoType::HFIELD}), ErrorKind::NotImplemented,
                "HFIELD is not supported");
+  EXPECT_ERROR(builder.add_shape({.type = GeoType::MESH}), ErrorKind::Value, "MESH needs vertices");
   EXPECT_ERROR(builder.add_shape({.type = static_cast<GeoType>(42)}), ErrorKind::Value, "got 42");
   for (auto edit :
        {+[](ShapeConfig& c) { c.ke = kNan; }, +[](ShapeConfig& c) { c.kd = -1.0f; },

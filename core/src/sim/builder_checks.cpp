@@ -7,6 +7,33 @@ namespace {
 
 constexpr float kInfiniteExtent = 1.0e6f;  // stands for infinity in bounds, as in Newton
 
+// The numbers of a scale that a size has. A null name: the number is not used.
+struct ScaleNames {
+  const char* x = nullptr;
+  const char* y = nullptr;
+  const char* z = nullptr;
+};
+
+ScaleNames scale_names(ShapeSize size) {
+  switch (size) {
+    case ShapeSize::RECTANGLE:
+      return {"scale.x (width)", "scale.y (length)"};
+    case ShapeSize::RADIUS:
+      return {"scale.x (radius)"};
+    case ShapeSize::RADIUS_HEIGHT:
+      return {"scale.x (radius)", "scale.y (half_height)"};
+    case ShapeSize::HALF_EXTENTS:
+      return {"scale.x (hx)", "scale.y (hy)", "scale.z (hz)"};
+    case ShapeSize::HALF_AXES:
+      return {"scale.x (rx)", "scale.y (ry)", "scale.z (rz)"};
+    case ShapeSize::FACTORS:
+      return {"scale.x", "scale.y", "scale.z"};
+    case ShapeSize::NONE:
+      break;
+  }
+  return {};
+}
+
 }  // namespace
 
 void check_tet_materials(std::string_view function, const TetMaterials& of, size_t count) {
@@ -67,43 +94,25 @@ Transformf checked_pose(const Where& where, const Transformf& xform) {
 }
 
 Vec3f checked_scale(std::string_view function, GeoType type, const Vec3f& scale) {
-  check_finite({function, "scale"}, scale);
-  switch (shape_traits(type).size) {
-    case ShapeSize::RECTANGLE:
-      check_not_negative({function, "scale.x (width)"}, scale.x);
-      check_not_negative({function, "scale.y (length)"}, scale.y);
-      return {scale.x, scale.y, 0.0f};
-    case ShapeSize::RADIUS:
-      check_positive({function, "scale.x (radius)"}, scale.x);
-      return {scale.x, 0.0f, 0.0f};
-    case ShapeSize::RADIUS_HEIGHT:
-      check_positive({function, "scale.x (radius)"}, scale.x);
-      check_positive({function, "scale.y (half_height)"}, scale.y);
-      return {scale.x, scale.y, 0.0f};
-    case ShapeSize::HALF_EXTENTS:
-      check_positive({function, "scale.x (hx)"}, scale.x);
-      check_positive({function, "scale.y (hy)"}, scale.y);
-      check_positive({function, "scale.z (hz)"}, scale.z);
-      return scale;
-    case ShapeSize::HALF_AXES:
-      check_positive({function, "scale.x (rx)"}, scale.x);
-      check_positive({function, "scale.y (ry)"}, scale.y);
-      check_positive({function, "scale.z (rz)"}, scale.z);
-      return scale;
-    case ShapeSize::FACTORS:
-      check_positive({function, "scale.x"}, scale.x);
-      check_positive({function, "scale.y"}, scale.y);
-      check_positive({function, "scale.z"}, scale.z);
-      return scale;
-    case ShapeSize::NONE:
-      break;
-  }
+  const ShapeSize size = shape_traits(type).size;
   require(type != GeoType::HFIELD, ErrorKind::NotImplemented, function,
           ": type: HFIELD is not supported; use add_shape_mesh with the triangles of a height "
           "field");
   require(type != GeoType::NONE, ErrorKind::Value, function,
           ": type: expected a shape type, got NONE");
-  fail(ErrorKind::Value, function, ": type: expected a GeoType, got ", static_cast<int32_t>(type));
+  require(size != ShapeSize::NONE, ErrorKind::Value, function, ": type: expected a GeoType, got ",
+          static_cast<int32_t>(type));
+  const ScaleNames names = scale_names(size);
+  const auto checked = [&](const char* name, float value) {
+    if (name == nullptr) return 0.0f;
+    if (size == ShapeSize::RECTANGLE) {
+      check_not_negative({function, name}, value);
+    } else {
+      check_positive({function, name}, value);
+    }
+    return value;
+  };
+  return {checked(names.x, scale.x), checked(names.y, scale.y), checked(names.z, scale.z)};
 }
 
 Transformf plane_pose(std::string_view function, const Vec4f& plane) {

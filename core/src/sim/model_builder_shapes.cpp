@@ -14,6 +14,10 @@ int32_t ModelBuilder::append_shape(std::string_view name, const ShapeArgs& args,
   require(args.body >= -1 && args.body < body_count(), ErrorKind::Index, name,
           ": body: expected -1 (the world) to ", body_count() - 1, " (body_count is ", body_count(),
           "), got ", args.body, ", which is out of range");
+  const bool has_vertices = shape_traits(args.type).size == ShapeSize::FACTORS;
+  require(!has_vertices || mesh != nullptr, ErrorKind::Value, name,
+          ": type: ", geo_type_name(args.type),
+          " needs vertices; use add_shape_mesh or add_shape_convex_hull");
   const Vec3f scale = detail::checked_scale(name, args.type, args.scale);
   const Transformf xform = detail::checked_pose(name, args.xform);
   require(args.type != GeoType::PLANE || args.body < 0 ||
@@ -25,9 +29,7 @@ int32_t ModelBuilder::append_shape(std::string_view name, const ShapeArgs& args,
   detail::check_shape_config(name, cfg);
   if (args.is_static || cfg.is_site) cfg.density = 0.0f;
   SolidProperties solid;
-  if (shape_traits(args.type).size == ShapeSize::FACTORS) {
-    require(mesh != nullptr, ErrorKind::Value, name, ": type: ", geo_type_name(args.type),
-            " needs vertices; use add_shape_mesh or add_shape_convex_hull");
+  if (has_vertices) {
     const bool has_mass = args.body >= 0 && cfg.density > 0.0f &&
                           !bodies_[static_cast<size_t>(args.body)].lock_inertia;
     if (has_mass) solid = solid_properties(name, args.type, *mesh, scale, cfg);
@@ -65,6 +67,7 @@ int32_t ModelBuilder::add_shape_plane(const ShapePlaneArgs& args) {
 }
 
 int32_t ModelBuilder::add_ground_plane(const GroundArgs& args) {
+  detail::check_finite({"add_ground_plane", "height"}, args.height);
   const Vec3f up = up_vector();
   return add_shape_plane({.plane = {up.x, up.y, up.z, -args.height},
                           .width = 0.0f,

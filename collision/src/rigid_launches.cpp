@@ -119,8 +119,10 @@ void RigidLaunches::reserve(const RigidPairs& pairs) {
     for (DeviceArray<int32_t>* of_chunks : {&before_, &sums_})
       *of_chunks = DeviceArray<int32_t>(static_cast<size_t>(chunks_of(rows)), device);
   }
-  if (mesh_contacts_.rows() != mesh_rows * sizeof(MeshRows))
+  if (mesh_contacts_.rows() != mesh_rows * sizeof(MeshRows)) {
     mesh_contacts_ = byte_array<MeshRows>(mesh_rows, device);
+    if (!runs_at_once(device)) mesh_scratch_ = byte_array<MeshContacts>(mesh_rows, device);
+  }
 }
 
 void RigidLaunches::find(const RigidPairs& pairs, int32_t contacts_per_pair) {
@@ -136,7 +138,7 @@ void RigidLaunches::find(const RigidPairs& pairs, int32_t contacts_per_pair) {
       {.mesh_pairs = pairs.mesh_rows(),
        .pairs = pairs.rows(),
        .shapes = Untyped(shapes_),
-       .scratch = nullptr,  // no scratch: RigidPairs refuses mesh pairs on devices
+       .scratch = Untyped(mesh_scratch_),
        .found = Untyped(mesh_contacts_),
        .counts = counts_});
 }

@@ -52,6 +52,7 @@ class RigidLaunches {
   void find_limit(const RigidPairs& pairs, int64_t capacity);
 
   Array shapes_, manifolds_, mesh_contacts_;  // rows of RigidShape, Manifold, MeshRows
+  Array mesh_scratch_;                        // rows of MeshContacts, on devices
   DeviceArray<int32_t> counts_, before_;      // the arrays of PairRows
   DeviceArray<int32_t> sums_;                 // sums of chunks, for a scan
   DeviceArray<int32_t> filled_;               // number of written rows

@@ -92,11 +92,6 @@ int32_t RigidPairs::orient(Vec2i& pair) const {
           ") may meet, and contacts of this pair of types are not supported; ",
           explicit_ ? "leave it out of shape_pairs_filtered"
                     : "ModelBuilder.add_shape_collision_filter_pair or collision groups part them");
-  // Mesh pairs are supported on the CPU only. On a GPU, normals and ids of some rows differed from
-  // the CPU.
-  if (is_mesh_pair(a, b))
-    require_cpu(model_->device(), "CollisionPipeline: shapes ", pair.x, " (", geo_type_name(a),
-                ") and ", pair.y, " (", geo_type_name(b), ") may meet: contacts of meshes");
   const Vec3f& size = scale_[static_cast<size_t>(pair.x)];
   require(a != GeoType::PLANE || !(size.x > 0.0f && size.y > 0.0f), ErrorKind::NotImplemented,
           "CollisionPipeline: shape ", pair.x,

@@ -33,6 +33,7 @@
 #include "support/cuda_device.h"
 #include "support/device_bits.h"
 #include "support/pair_scenes.h"
+#include "support/triangles.h"
 
 namespace novaphy {
 namespace {
@@ -150,20 +151,85 @@ ModelBuilder worlds() {
   return all;
 }
 
+void expect_the_rows_of_the_cpu(const ModelBuilder& builder, std::span<const BroadPhase> phases,
+                                int32_t least, int64_t most) {
+  const Result expected = found_rows(builder, Device::cpu(), {.rigid_contact_max = most}, false);
+  EXPECT_GT(count_of(expected), least);
+  for (const BroadPhase phase : phases)
+    for (const bool capture : {false, true}) {
+      const Result rows = found_rows(builder, Device::cuda(),
+                                     {.broad_phase = phase, .rigid_contact_max = most}, capture);
+      for (size_t k = 0; k < rows.size(); ++k)
+        EXPECT_TRUE(rows[k].second == expected[k].second)
+            << rows[k].first << ", " << broad_phase_name(phase) << ", captured " << capture;
+    }
+}
+
 TEST_F(RigidDevices, FindTheRowsOfTheCpuWithEveryBroadPhaseDirectAndReplayed) {
-  for (const ModelBuilder& builder : {heap(60, 0.5f), worlds()}) {
-    const Result expected = found_rows(builder, Device::cpu(), {.rigid_contact_max = 4000}, false);
-    EXPECT_GT(count_of(expected), 200);
-    EXPECT_LT(count_of(expected), 4000);
-    for (const BroadPhase phase : kPhases)
-      for (const bool capture : {false, true}) {
-        const Result rows = found_rows(builder, Device::cuda(),
-                                       {.broad_phase = phase, .rigid_contact_max = 4000}, capture);
-        for (size_t k = 0; k < rows.size(); ++k)
-          EXPECT_TRUE(rows[k].second == expected[k].second)
-              << rows[k].first << ", " << broad_phase_name(phase) << ", captured " << capture;
-      }
+  for (const ModelBuilder& builder : {heap(60, 0.5f), worlds()})
+    expect_the_rows_of_the_cpu(builder, kPhases, 200, 4000);
+}
+
+// Hills of triangles under bodies of all types, with more contacts of a pair than are kept.
+ModelBuilder hills() {
+  std::vector<Vec3f> vertices;
+  std::vector<int32_t> triangles;
+  constexpr int kSide = 17;
+  for (int k = 0; k < kSide * kSide; ++k) {
+    const float x = 0.1f * static_cast<float>(k % kSide - kSide / 2),
+                y = 0.1f * static_cast<float>(k / kSide - kSide / 2);
+    vertices.push_back({x, y, 0.15f * x * x - 0.1f * y * y + 0.03f * static_cast<float>(k % 3)});
   }
+  for (int k = 0; k < kSide * (kSide - 1); ++k) {
+    if (k % kSide == kSide - 1) continue;
+    triangles.insert(triangles.end(), {k, k + 1, k + kSide + 1, k, k + kSide + 1, k + kSide});
+  }
+  ModelBuilder builder = heap(14, 0.5f);
+  builder.add_shape_mesh(-1, {.vertices = vertices, .indices = triangles, .cfg = kSurface});
+  const int32_t slab = builder.add_body({.xform = {{0.0f, 0.0f, 0.0f}, Quatf::identity()}});
+  builder.add_shape_box(slab, {.hx = 0.7f, .hy = 0.7f, .hz = 0.05f, .cfg = kSurface});
+  return builder;
+}
+
+TEST_F(RigidDevices, FindTheRowsOfTheCpuOnTriangles) {
+  const ModelBuilder builder = hills();
+  const std::span<const BroadPhase> phases(kPhases, 2);  // Sap refuses meshes on devices
+  expect_the_rows_of_the_cpu(builder, phases, 100, 4000);
+  expect_the_rows_of_the_cpu(builder, phases, 100, 60);  // more rows than fit
+}
+
+// A cube of triangles that falls on a cube of triangles, and on the hills.
+TEST_F(RigidDevices, StepsOnTrianglesHaveTheBitsOfTheCpu) {
+  const testing::Triangles cube = testing::cube(0.1f);
+  ModelBuilder builder = hills();
+  for (int k = 0; k < 2; ++k) {
+    const int32_t body =
+        builder.add_body({.xform = {{0.02f, 0.0f, 0.6f + 0.21f * static_cast<float>(k)}, {}}});
+    builder.body_q.back().q = Quatf::identity();
+    builder.add_shape_mesh(body,
+                           {.vertices = cube.vertices, .indices = cube.indices, .cfg = kSurface});
+  }
+  Result results[2];
+  for (const bool on_device : {false, true}) {
+    const auto model = builder.finalize(on_device ? Device::cuda() : Device::cpu());
+    CollisionPipeline pipeline(model, {.rigid_contact_max = 4000});
+    Contacts contacts = pipeline.contacts();
+    SolverFeatherstone articulated(model);
+    SolverSemiImplicit penalty(model);
+    for (SolverBase* const solver :
+         {static_cast<SolverBase*>(&articulated), static_cast<SolverBase*>(&penalty)}) {
+      SimState now = model->state(), next = model->state();
+      for (int step = 0; step < 20; ++step) {
+        pipeline.collide(now, contacts);
+        solver->step(now, next, nullptr, &contacts, kDt);
+        std::swap(now, next);
+      }
+      add_rows(results[on_device], contacts, "after 20 steps");
+      add_bodies(results[on_device], now, "after 20 steps");
+    }
+  }
+  for (size_t k = 0; k < results[0].size(); ++k)
+    EXPECT_TRUE(results[0][k].second == results[1][k].second) << results[0][k].first;
 }
 
 Result rows_of_poses(const novaphy::testing::PairScene& scene, Device device, BroadPhase phase,
@@ -398,27 +464,6 @@ TEST_F(RigidDevices, AStepAboveTheStableOneOfAJointIsRefusedThereToo) {
   }
 }
 
-// Hills of triangles under bodies of all types, with more contacts of a pair than are kept.
-ModelBuilder hills() {
-  std::vector<Vec3f> vertices;
-  std::vector<int32_t> triangles;
-  constexpr int kSide = 17;
-  for (int k = 0; k < kSide * kSide; ++k) {
-    const float x = 0.1f * static_cast<float>(k % kSide - kSide / 2),
-                y = 0.1f * static_cast<float>(k / kSide - kSide / 2);
-    vertices.push_back({x, y, 0.15f * x * x - 0.1f * y * y + 0.03f * static_cast<float>(k % 3)});
-  }
-  for (int k = 0; k < kSide * (kSide - 1); ++k) {
-    if (k % kSide == kSide - 1) continue;
-    triangles.insert(triangles.end(), {k, k + 1, k + kSide + 1, k, k + kSide + 1, k + kSide});
-  }
-  ModelBuilder builder = heap(14, 0.5f);
-  builder.add_shape_mesh(-1, {.vertices = vertices, .indices = triangles, .cfg = kSurface});
-  const int32_t slab = builder.add_body({.xform = {{0.0f, 0.0f, 0.0f}, Quatf::identity()}});
-  builder.add_shape_box(slab, {.hx = 0.7f, .hy = 0.7f, .hz = 0.05f, .cfg = kSurface});
-  return builder;
-}
-
 // Returns the collected warnings.
 std::vector<std::string>& warnings() {
   static std::vector<std::string> said;
@@ -467,11 +512,10 @@ TEST_F(RigidDevices, WhatIsNotThereIsRefusedByName) {
     return std::string("nothing was thrown");
   };
   const auto model = hills().finalize(Device::cuda());
-  for (const BroadPhase phase : kPhases)
-    EXPECT_NE(refusal([&] {
-                CollisionPipeline(model, {.broad_phase = phase});
-              }).find("contacts of meshes: expected the device cpu"),
-              std::string::npos);
+  EXPECT_NE(refusal([&] {
+              CollisionPipeline(model, {.broad_phase = BroadPhase::Sap});
+            }).find("the broad phase \"sap\" finds pairs of meshes on the cpu only"),
+            std::string::npos);
   EXPECT_NE(refusal([&] {
               CollisionPipeline(model, {.narrow_phase = NarrowPhase::Fcl});
             }).find("narrow_phase"),

@@ -70,9 +70,9 @@ struct CollisionOptions {
 //   - infinite planes with spheres, capsules, ellipsoids, cylinders, boxes (their four deepest
 //     corners), cones, convex hulls and meshes (up to four vertices)
 //   - all other convex shapes with each other (geometry/collide.h), up to eight points
-//   - on the CPU, meshes with convex shapes and with each other (geometry/mesh_pair.h), up to 32
-//     points, each with its own normal, ordered by distance. The id of a point may change when the
-//     point moves to another triangle.
+//   - meshes with convex shapes and with each other (geometry/mesh_pair.h), up to 32 points, each
+//     with its own normal, ordered by distance. The id of a point may change when the point moves
+//     to another triangle. On devices Sap refuses meshes.
 //
 // The candidate pairs are Model::shape_contact_pairs (Explicit), or the pairs that flags, groups
 // and worlds currently allow (NxN and Sap). All three broad phases keep the pairs whose boxes

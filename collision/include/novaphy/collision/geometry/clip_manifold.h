@@ -90,6 +90,15 @@ inline ClippedFeature clip_to_face(const Feature& face, const Feature& incident)
   }
   return clipped;
 }
+// Returns whether a point lies over a face. Equals clip_to_face with a point.
+inline bool is_over_face(const Feature& face, const Vec3f& point) {
+  for (int32_t k = 0; k < face.count; ++k) {
+    const Vec3f a = face.points[k], b = face.points[k + 1 == face.count ? 0 : k + 1];
+    const Vec3f side = math::normalize(math::cross(b - a, face.normal));
+    if (!(math::dot(side, point) - math::dot(side, a) <= 0.0f)) return false;
+  }
+  return true;
+}
 inline ClippedFeature clip_to_edge(const Feature& edge, const Feature& incident) {
   const Vec3f d = math::normalize(edge.points[1] - edge.points[0]);
   ClippedFeature clipped = clip_by_plane(unclipped(incident), d, math::dot(d, edge.points[1]), 1);

@@ -206,7 +206,8 @@ NOVAPHY_OUT_OF_LINE bool add_vertex(EpaPolytope& poly, const SupportPoint& p, in
   return true;
 }
 
-NOVAPHY_OUT_OF_LINE Penetration epa(const ShapePair& pair, Simplex simplex) {
+NOVAPHY_OUT_OF_LINE Penetration epa(const ShapePair& pair, const Simplex& start) {
+  Simplex simplex = start;  // parameters are not passed by value: docs/design/0023
   Penetration best;
   float size = 0.0f;
   if (!grow_tetrahedron(pair, simplex, size, best)) return best;

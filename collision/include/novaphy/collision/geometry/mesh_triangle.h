@@ -150,9 +150,7 @@ inline ContactCandidates over_face(const ShapePair& pair, const Proximity& over,
   ContactCandidates found;
   found.normal = over.normal;
   const bool as_deep = clip_features(pair, over, front, facing, true, gap, found);
-  Feature deepest;
-  add_point(deepest, over.on_b);
-  if (!as_deep && over.distance <= gap && clip_to_face(front, deepest).count == 1)
+  if (!as_deep && over.distance <= gap && is_over_face(front, over.on_b))
     add_contact(found, (over.on_a + over.on_b) * 0.5f, over.distance,
                 contact_feature(front.face, facing.face, kWitnessCode));
   return found;

@@ -14,8 +14,8 @@ spheres, capsules, cylinders, cones, ellipsoids, convex hulls and meshes.
 
 A rigid contact is a row for a point where two shapes are closer than the sum of their gaps. At
 least one of the shapes is on a body. The rows are ordered by shape0, shape1 and point. Supported
-are infinite planes, spheres, capsules, ellipsoids, cylinders, boxes, cones, convex hulls and, on
-the CPU, meshes, which also meet meshes.)";
+are infinite planes, spheres, capsules, ellipsoids, cylinders, boxes, cones, convex hulls and
+meshes, which also meet meshes.)";
 
 inline constexpr char kPipelineInit[] =
     R"(Makes a pipeline for a model.

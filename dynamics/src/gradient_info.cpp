@@ -109,7 +109,7 @@ int64_t unclaimed_steps(const MotionCounts* motion) {
 std::string why_surrogate(const GradientCounts& c) {
   if ((c.jumps & kLawJumps) != 0) return "a contact law jumps or a step failed";
   if ((c.jumps & kOpenFriction) != 0)
-    return "points of one pair slide in different directions, and the law leaves the push of each "
+    return "dependent contacts slide in different directions, and the law leaves the push of each "
            "point open";
   return "contacts have not converged (" + std::to_string(c.residual) + " of the largest impulse)";
 }

@@ -16,11 +16,7 @@ inline void note_island(const GroupStep& s, int32_t root, articulation::BranchNo
     articulation::note_contact(s.contacts, s.law, s.all.by_restitution.value != 0, rows[n], notes);
     s.all.seen[s.places(root)[n]] = articulation::seen_contact(s.contacts, rows[n], s.law.cone);
   }
-  for (int32_t first = 0, end = 0; first < node.rows; first = end) {
-    while (end < node.rows && articulation::same_links(rows[first], rows[end])) ++end;
-    if (articulation::has_open_friction(rows + first, end - first, s.law.cone))
-      notes.all.jumps |= kOpenFriction;
-  }
+  if (articulation::has_open_friction(rows, node.rows, s.law.cone)) notes.all.jumps |= kOpenFriction;
   for_friction(s, root, [&](const articulation::PgsJointFriction<float>& f, int32_t) {
     articulation::note_friction(f, notes);
   });

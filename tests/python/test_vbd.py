@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import subprocess
 import sys
 from pathlib import Path
@@ -786,6 +787,30 @@ def test_a_step_that_is_not_solved_is_an_error_unless_allowed():
     assert info.label == "surrogate" and not info.converged
     assert info.residual == np.float32(info.primal.relative) > 1e-3
     assert info.linear_residual <= 1e-4 and info.linear_sweeps > 0
+
+
+def test_the_label_is_that_of_the_worst_step():
+    """Backward ends with the first step, which is solved: the cloth is at rest there."""
+    nova = pytest.importorskip("novaphy.nova")
+    model = diff_solver(cloth(), iterations=2, gradient="implicit").model
+    model.gravity.assign(0 * model.gravity.numpy())
+    solver = novaphy.solvers.DiffSolverVBD(
+        model, iterations=2, gradient="implicit", newton_iterations=0, allow_unconverged=True
+    )
+    states = [model.state(requires_grad=True), model.state(), model.state()]
+    force = np.random.default_rng(2).normal(size=(49, 3)).astype(np.float32)
+    states[1].particle_f.assign(force)
+    with nova.Tape() as tape:
+        for before, after in itertools.pairwise(states):
+            solver.step(before, after, None, None, 1 / 60)
+        loss = loss_of(states[2], np.ones((49, 3), np.float32))
+    tape.backward(loss)
+    info = solver.gradient_info()
+    assert info.converged and info.primal.relative < 1e-3  # of the first step
+    for worst in (info, tape.gradient_info()):
+        assert worst.label == "surrogate" and worst.residual > 1e-3
+        assert worst.steps == 2 and worst.surrogate_steps == 1
+        assert "the first is step 1" in worst.reason
 
 
 def test_a_replay_names_the_first_step_that_was_not_solved():

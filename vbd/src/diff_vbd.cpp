@@ -133,16 +133,18 @@ void DiffSolverVBD::keep_velocity(const SimState& in, StepInputs::Checkpoints* c
 
 namespace {
 
-constexpr float kUnsolvedResidual = 1e-3f;  // of a step, or of the linear system of its gradient
-
-GradientInfo info_of(GradientCounts counts, const VbdGradientInfo& of, bool implicit) {
+// `last`: of the last derivative of a step. Null `unsolved`: no step has a derivative.
+GradientInfo info_of(GradientCounts counts, const VbdGradientInfo& last,
+                     const UnsolvedSteps* unsolved, bool implicit) {
   if (implicit) {
-    counts.residual = static_cast<float>(std::max(of.primal.relative, of.linear_residual));
-    // `of` describes only the last step, so only the last step can be counted as not solved.
-    if (counts.steps > 0 && counts.surrogate == 0 && !(counts.residual <= kUnsolvedResidual)) {
-      --(counts.exact > 0 ? counts.exact : counts.frozen);
-      ++counts.surrogate;
-      counts.surrogate_step = counts.steps - 1;
+    counts.residual = static_cast<float>(std::max(last.primal.relative, last.linear_residual));
+    if (unsolved != nullptr && unsolved->count() > 0) {
+      counts.residual = static_cast<float>(unsolved->largest());
+      counts.surrogate_step = unsolved->first();
+      for (int64_t k = 0; k < unsolved->count() && counts.exact + counts.frozen > 0; ++k) {
+        --(counts.exact > 0 ? counts.exact : counts.frozen);
+        ++counts.surrogate;
+      }
     }
   }
   return novaphy::gradient_info(counts, implicit);
@@ -156,11 +158,14 @@ struct DiffSolverVBD::Witness : GradientWitness {
   std::shared_ptr<const DifferentiableBodies> bodies;
   bool implicit;
   GradientNotes notes;
+  std::shared_ptr<UnsolvedSteps> unsolved = std::make_shared<UnsolvedSteps>();
+  int64_t step_count = 0;
   Witness(std::shared_ptr<const Model> m, std::shared_ptr<const DifferentiableVbd> s,
           std::shared_ptr<const DifferentiableBodies> b, bool i)
       : model(std::move(m)), steps(std::move(s)), bodies(std::move(b)), implicit(i) {}
   GradientInfo info() const override {
-    return info_of(notes.counts(*model), steps ? steps->info() : bodies->info(), implicit);
+    return info_of(notes.counts(*model), steps ? steps->info() : bodies->info(), unsolved.get(),
+                   implicit);
   }
   const char* without_record() const override {
     if (bodies != nullptr) return "DiffSolverVBD with bodies";
@@ -170,18 +175,26 @@ struct DiffSolverVBD::Witness : GradientWitness {
   }
 };
 
-void DiffSolverVBD::note_step(NotedStep noted, bool keeps) {
+// Notes the step that number_of_step() counted.
+StepReport DiffSolverVBD::note_step(NotedStep noted, bool keeps) {
   noted.slip = options_.friction_epsilon;
-  witness_on_tape(witness_, [this] {
+  const auto witness = witness_on_tape(witness_, [this] {
     return std::make_shared<Witness>(model(), steps_, bodies_, options_.gradient.implicit);
-  })->notes.add_to_all(*model(), noted, keeps);
+  });
+  witness->notes.add_to_all(*model(), noted, keeps);
   notes_.add(*model(), std::move(noted), keeps);
+  return {unsolved_, witness->unsolved, recorded_step_.number, witness->step_count++};
+}
+
+void DiffSolverVBD::clear_gradient_info() {
+  notes_.clear();
+  if (unsolved_ != nullptr) unsolved_ = std::make_shared<UnsolvedSteps>();
 }
 
 DiffVbdGradientInfo DiffSolverVBD::gradient_info() const {
   check_replays();
   const VbdGradientInfo of = last_info();
-  return {info_of(notes_.counts(*model()), of, options_.gradient.implicit),
+  return {info_of(notes_.counts(*model()), of, unsolved_.get(), options_.gradient.implicit),
           of.primal,
           of.linear_residual,
           of.linear_sweeps,
@@ -257,9 +270,10 @@ bool DiffSolverVBD::begin_rollout(const RolloutInputs&) {
 }
 
 // Returns the index of a step in its chain of recorded steps.
-int64_t DiffSolverVBD::number_of_step(const SimState& in, const SimState& out) {
-  const bool follows = recorded_step_.end == in.particle_q.range()->data();
-  recorded_step_ = {out.particle_q.range()->data(), follows ? recorded_step_.number + 1 : 0};
+int64_t DiffSolverVBD::number_of_step(const void* start, const void* end) {
+  const bool follows = recorded_step_.end == start;
+  recorded_step_ = {end, follows ? recorded_step_.number + 1 : 0};
+  if (recorded_step_.number == 0) unsolved_ = std::make_shared<UnsolvedSteps>();
   return recorded_step_.number;
 }
 
@@ -318,8 +332,8 @@ void DiffSolverVBD::record_step(const SimState& in, SimState& out, const StepInp
   if (captured) nova::current_capture()->uses(in_use());
   RecordedStep::submit_forward(step);
   if (tape == nullptr) return keep_velocity(in, inputs.checkpoints.get(), scratch);
-  step->number = number_of_step(in, out);
-  note_step(noted_step(*step, in, out), inputs.checkpoints == nullptr);
+  step->number = number_of_step(in.particle_q.range()->data(), out.particle_q.range()->data());
+  step->report = note_step(noted_step(*step, in, out), inputs.checkpoints == nullptr);
   nova::CustomOp op;
   op.name = "vbd_step";
   for (const RecordedStep::Input& input : step->differentiable()) op.inputs.push_back(input.tensor);

@@ -44,9 +44,9 @@ std::vector<RecordedBodies::Input> RecordedBodies::differentiable() const {
 namespace {
 
 Array array_of(const Tensor& tensor) {
-  return tensor.defined() ? Array(novaphy::DType::float32, static_cast<size_t>(tensor.size()), 1,
-                                  tensor.range())
-                          : Array();
+  return tensor.defined()
+             ? Array(novaphy::DType::float32, static_cast<size_t>(tensor.size()), 1, tensor.range())
+             : Array();
 }
 
 }  // namespace
@@ -56,15 +56,15 @@ void RecordedBodies::tangent(std::span<const Tensor> tangents,
   const nova::NoGrad no_grad;
   const std::vector<Input> all = differentiable();
   VbdBodyDerivatives direction;
-  for (size_t k = 0; k < all.size(); ++k)
-    direction.*all[k].derivative = array_of(tangents[k]);
+  for (size_t k = 0; k < all.size(); ++k) direction.*all[k].derivative = array_of(tangents[k]);
   Array found[2];
   for (size_t k = 0; k < 2; ++k) {
     const UntrackedScope untracked;
-    found[k] = Array(novaphy::DType::float32, static_cast<size_t>(outputs[k].size()),
-                     model->device());
+    found[k] =
+        Array(novaphy::DType::float32, static_cast<size_t>(outputs[k].size()), model->device());
   }
   steps->tangent(*solution, *in, control.get(), dt, direction, found[0], found[1]);
+  report.note(steps->info());
   for (size_t k = 0; k < 2; ++k)
     nova::InputGradient{outputs[k], false}.put(
         Tensor(found[k].range(), outputs[k].shape(), nova::DType::F32));
@@ -80,14 +80,15 @@ void RecordedBodies::backward(std::span<const Tensor> outputs,
   for (size_t k = 0; k < all.size(); ++k) {
     if (!to[k].wanted()) continue;
     const UntrackedScope untracked;
-    gradients.*all[k].derivative = Array(
-        novaphy::DType::float32, static_cast<size_t>(all[k].tensor.size()), model->device());
+    gradients.*all[k].derivative =
+        Array(novaphy::DType::float32, static_cast<size_t>(all[k].tensor.size()), model->device());
   }
   steps->backward(*solution, *in, control.get(), dt, adjoints, gradients);
+  report.note(steps->info());
   for (size_t k = 0; k < all.size(); ++k)
     if (to[k].wanted())
-      to[k].put(Tensor((gradients.*all[k].derivative).range(), to[k].grad.shape(),
-                       nova::DType::F32));
+      to[k].put(
+          Tensor((gradients.*all[k].derivative).range(), to[k].grad.shape(), nova::DType::F32));
 }
 
 namespace {
@@ -101,9 +102,9 @@ std::shared_ptr<RecordedBodies> step_of(const std::shared_ptr<const Model>& mode
   step->dt = inputs.dt;
   step->of_rollout = inputs.step;
   StateFields fields = in;
-  fields.body_f = DeviceArray<SpatialVectorf>(
-      Array(novaphy::DType::spatial_vector, static_cast<size_t>(inputs.body_forces.rows), 1,
-            inputs.body_forces.range));
+  fields.body_f = DeviceArray<SpatialVectorf>(Array(novaphy::DType::spatial_vector,
+                                                    static_cast<size_t>(inputs.body_forces.rows), 1,
+                                                    inputs.body_forces.range));
   step->in = std::make_shared<const SimState>(*model, std::move(fields));
   if (inputs.control != nullptr) {
     const auto control = std::make_shared<Control>(*model);
@@ -148,8 +149,7 @@ void DiffSolverVBD::record_bodies(const SimState& in, const SimState& out,
   const std::shared_ptr<RecordedBodies> step = step_of(model(), in, inputs);
   step->steps = bodies_;
   std::vector<Tensor> tensors;
-  for (const RecordedBodies::Input& input : step->differentiable())
-    tensors.push_back(input.tensor);
+  for (const RecordedBodies::Input& input : step->differentiable()) tensors.push_back(input.tensor);
   if (tape != nullptr) check_other_arrays(*tape, m, inputs.contacts, tensors);
   {
     const nova::NoGrad no_grad;
@@ -161,8 +161,9 @@ void DiffSolverVBD::record_bodies(const SimState& in, const SimState& out,
                                       inputs.dt, contacts_follow(m, in, inputs));
   }
   if (tape == nullptr) return;
-  note_step(noted_step(in, out, inputs.contacts, bodies_->has_frozen_contacts(*step->solution)),
-            true);
+  number_of_step(in.body_q.range()->data(), out.body_q.range()->data());
+  step->report = note_step(
+      noted_step(in, out, inputs.contacts, bodies_->has_frozen_contacts(*step->solution)), true);
   nova::CustomOp op;
   op.name = "vbd_bodies_step";
   op.inputs = tensors;

@@ -9,6 +9,7 @@
 #include "novaphy/core/sim/sim_state.h"
 #include "novaphy/nova/tape.h"
 #include "novaphy/vbd/differentiable_bodies.h"
+#include "unsolved_steps.h"
 
 namespace novaphy::diff {
 
@@ -20,6 +21,7 @@ struct RecordedBodies {
   float dt = 0.0f;
   int32_t of_rollout = -1;  // index of the step in a rollout; -1: not in a rollout
   std::shared_ptr<const VbdBodySolution> solution;
+  StepReport report;
 
   // An input with a gradient, and the member of VbdBodyDerivatives that holds its derivative.
   struct Input {

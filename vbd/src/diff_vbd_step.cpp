@@ -213,6 +213,7 @@ std::vector<Array> RecordedStep::derivatives(std::span<const Tensor> outputs,
     gradients.*all[k].derivative = values[k];
   }
   steps->backward(inputs(), array_of(outputs[0]), array_of(outputs[1]), gradients, in_use);
+  if (implicit) report.note(steps->info());
   return values;
 }
 
@@ -284,6 +285,7 @@ std::array<DeviceArray<Vec3f>, 2> RecordedStep::tangents(std::span<const Tensor>
   AdjointRecord::Step* const entry = AdjointRecord::entry_of(this);
   const std::vector<int32_t> held = entry != nullptr ? held_rows(*entry) : std::vector<int32_t>();
   steps->tangent(inputs(), direction, found[0], found[1], held);
+  if (implicit) report.note(steps->info());
   if (entry != nullptr) note_changes(*entry, held);
   return found;
 }

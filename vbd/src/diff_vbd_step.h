@@ -11,6 +11,7 @@
 #include "novaphy/dynamics/diff_adjoint_record.h"
 #include "novaphy/nova/tape.h"
 #include "novaphy/vbd/differentiable_vbd.h"
+#include "unsolved_steps.h"
 
 namespace novaphy::diff {
 
@@ -42,6 +43,7 @@ struct RecordedStep {
   float dt = 0.0f;
   int32_t of_rollout = -1;  // index of the step in a rollout; -1: not in a rollout
   int64_t number = 0;       // index of the step in its chain of recorded steps
+  StepReport report;
   bool implicit = false, trains_elements = false;
   // The values of the model's scalars at the time of the recording.
   float soft_contact_ke = model->soft_contact_ke, soft_contact_kd = model->soft_contact_kd,

@@ -37,6 +37,9 @@ struct DiffVbdOptions {
   VbdGradientOptions gradient = {};
 };
 
+struct StepReport;
+class UnsolvedSteps;
+
 // Runs a step with the same bits as SolverVBD and records the step on an active tape. With implicit
 // gradients the step is iterated to its solution. backward and Tape::jvp run each step once more.
 //
@@ -94,7 +97,7 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
   // device this function also raises the errors of SolverVBD::residual, for steps outside of
   // captures as well.
   DiffVbdGradientInfo gradient_info() const;
-  void clear_gradient_info() { notes_.clear(); }
+  void clear_gradient_info();
 
   // Errors: as for SolverVBD::step. ErrorKind::Runtime: a step with implicit gradients was not
   // solved. A step does not change particle_f.
@@ -117,9 +120,9 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
                    StepScratch scratch) override;
 
  private:
-  void note_step(NotedStep noted, bool keeps);
+  StepReport note_step(NotedStep noted, bool keeps);
   void record_bodies(const SimState& in, const SimState& out, const StepInputs& inputs);
-  int64_t number_of_step(const SimState& in, const SimState& out);
+  int64_t number_of_step(const void* start, const void* end);
   void check_replays() const;
   void begin();
   bool looks_back() const {
@@ -140,6 +143,7 @@ class NOVAPHY_VBD_API DiffSolverVBD : public DiffSolverBase {
   std::shared_ptr<std::string> failure_ = std::make_shared<std::string>();
   std::shared_ptr<const Contacts> last_contacts_;  // a copy of the contacts of the last step
   GradientNotes notes_;
+  std::shared_ptr<UnsolvedSteps> unsolved_;  // of the chain of recorded_step_
   // The address of the state at the end of the last recorded step, and the step's number.
   struct {
     const void* end = nullptr;

@@ -31,6 +31,13 @@ class OpenFriction {
   OpenFriction(const IslandContact* contacts, int32_t count, bool cone)
       : contacts_(contacts), count_(count), cone_(cone) {}
 
+  // Returns whether a contact slides. The friction is not open otherwise.
+  bool has_slides() const {
+    Slide none;
+    for (int32_t n = 0; n < count_; ++n)
+      if (contact(n).impulse[0] > 0.0f && slide_of(n, none)) return true;
+    return false;
+  }
   // Chooses independent rows. Returns false if more than kMostRows are independent.
   bool build() {
     for (int32_t n = 0; n < count_; ++n) {
@@ -177,6 +184,7 @@ inline bool same_links(const IslandContact& a, const IslandContact& b) {
 // rows only contacts of the same links are compared.
 inline bool has_open_friction(const IslandContact* rows, int32_t count, bool cone) {
   OpenFriction whole(rows, count, cone);
+  if (!whole.has_slides()) return false;
   if (whole.build()) return whole.is_open();
   for (int32_t first = 0, end = 0; first < count; first = end) {
     while (end < count && same_links(rows[first], rows[end])) ++end;

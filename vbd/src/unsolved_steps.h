@@ -18,11 +18,11 @@ class UnsolvedSteps {
   // Takes the report of the last derivative of a step. A step whose residual is within the rounding
   // of its forces is solved. NaN is not.
   void note(int64_t step, const VbdGradientInfo& of) {
-    const double residual = std::max(of.primal.relative, of.linear_residual);
-    if (of.converged || residual <= kUnsolvedResidual) {
+    const double step_residual = of.primal.relative, linear = of.linear_residual;
+    if (of.converged || (step_residual <= kUnsolvedResidual && linear <= kUnsolvedResidual)) {
       residuals_.erase(step);
     } else {
-      residuals_[step] = residual;
+      residuals_[step] = step_residual > linear ? step_residual : linear;
     }
   }
   int64_t count() const { return static_cast<int64_t>(residuals_.size()); }

@@ -5,6 +5,7 @@
 #include "byte_array.h"
 #include "novaphy/core/assert.h"
 #include "novaphy/core/builtin_kernels.h"
+#include "novaphy/core/scratch_rows.h"
 #include "novaphy/core/sim/for_chunks.h"
 #include "rigid_contact_kernels.h"
 #include "rigid_contacts.h"
@@ -121,7 +122,8 @@ void RigidLaunches::reserve(const RigidPairs& pairs) {
   }
   if (mesh_contacts_.rows() != mesh_rows * sizeof(MeshRows)) {
     mesh_contacts_ = byte_array<MeshRows>(mesh_rows, device);
-    if (!runs_at_once(device)) mesh_scratch_ = byte_array<MeshContacts>(mesh_rows, device);
+    const size_t scratch = scratch_rows(device, mesh_rows);
+    if (scratch > 0) mesh_scratch_ = byte_array<MeshContacts>(scratch, device);
   }
 }
 
